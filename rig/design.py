@@ -1,0 +1,211 @@
+"""What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+DISTORTION_TERMS = (4, 5, 8, 12, 14)
+FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
+    **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "DICT_ARUCO_ORIGINAL": 1024, "DICT_ARUCO_MIP_36h12": 250, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587,
+}
+
+
+def _array(value, shape, what):
+    array = np.array(value, float)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
+        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what}: not finite: {array.tolist()}")
+    array.setflags(write=False)
+    return array
+
+
+def _set(self, name, shape):
+    object.__setattr__(self, name, _array(getattr(self, name), shape, name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hexapod:
+    """Gough-Stewart platform: six struts of variable length between a base and a platform.
+
+    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame
+    strut_range : (6, 2) m, shortest and longest commanded length; home : T_base_platform
+    strut_zeros : (6,) m, what a strut is longer than its command says (zero as the owner believes it)
+    """
+
+    base_joints: np.ndarray
+    platform_joints: np.ndarray
+    strut_range: np.ndarray
+    home: RigidTransform
+    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    kind = "hexapod"
+
+    def __post_init__(self):
+        for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
+            _set(self, name, shape)
+
+    @property
+    def axes(self):
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return tuple(f"l{i + 1}" for i in range(6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planar2:
+    """Two struts from two base joints to one common hinge in the plane z = 0 (configuration-space patent, fig. 1).
+
+    base_joints : (2, 2) m; strut_range : (2, 2) m; strut_zeros : (2,) m. The hinge is on the left of base joint 1 -> 2.
+    """
+
+    base_joints: np.ndarray
+    strut_range: np.ndarray
+    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    kind = "planar2"
+
+    def __post_init__(self):
+        for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
+            _set(self, name, shape)
+
+    @property
+    def axes(self):
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return ("l1", "l2")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arm:
+    """Serial arm. joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad), distal
+    Denavit-Hartenberg; limits : (n, 2) rad."""
+
+    joints: np.ndarray
+    limits: np.ndarray
+    kind = "arm"
+
+    def __post_init__(self):
+        _set(self, "joints", (None, None))
+        _set(self, "limits", (len(self.joints), 2))
+
+    @property
+    def axes(self):
+        """Names of the commanded axes, as commands.csv heads its columns."""
+        return tuple(f"q{i + 1}" for i in range(len(self.joints)))
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """Moved by hand or by somebody else: there is nothing to command."""
+
+    kind = "free"
+    axes = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad)."""
+
+    base: str
+    tool: str
+    position_sigma: float
+    rotation_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """screw_lead (m per revolution) or None, joints ("cardan-cardan", "cardan-ball") or None, max_speed (m/s) or None."""
+
+    screw_lead: float | None
+    joints: str | None
+    max_speed: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Platform:
+    """mass (kg); centre_of_mass, payload_centre_of_mass : (3,) m, platform frame, or None where not stated."""
+
+    mass: float | None
+    centre_of_mass: np.ndarray | None
+    payload_centre_of_mass: np.ndarray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera with an OpenCV lens.
+
+    width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
+    pose : T_base_camera, OpenCV axes; shutter "global" or "rolling"; row_time : s, for a rolling one
+    mount : "fixed", or "moving" with a pose of its own in every frame
+    """
+
+    name: str
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+    pose: RigidTransform
+    shutter: str = "global"
+    row_time: float = 0.0
+    mount: str = "fixed"
+
+    def __post_init__(self):
+        _set(self, "matrix", (3, 3))
+        _set(self, "distortion", (None,))
+        if len(self.distortion) not in DISTORTION_TERMS:
+            raise ValueError(f"distortion: expected {DISTORTION_TERMS} terms, got {len(self.distortion)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marker:
+    """One square marker: id in its dictionary; side (m, outer side of the black border);
+    pose : T_body_marker, x right, y up, z out of the paper; margin (m): white paper beyond the border."""
+
+    id: int
+    side: float
+    pose: RigidTransform
+    margin: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Markers fixed to one body ("platform" or "base").
+
+    A cube has edge, marker (m), faces (pairs of face and id) and pose : T_body_cube; any other target lists its markers.
+    """
+
+    name: str
+    body: str
+    dictionary: str
+    edge: float | None = None
+    marker: float | None = None
+    faces: tuple[tuple[str, int], ...] = ()
+    pose: RigidTransform | None = None
+    listed: tuple[Marker, ...] = ()
+
+    @property
+    def ids(self):
+        """Identities of all its markers."""
+        return tuple(number for _, number in self.faces) + tuple(marker.id for marker in self.listed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame."""
+
+    name: str
+    gravity: np.ndarray
+    mechanism: Hexapod | Planar2 | Arm | Free
+    instrument: Instrument | None
+    actuator: Actuator
+    platform: Platform
+    cameras: tuple[Camera, ...]
+    targets: tuple[Target, ...]
+
+    def camera(self, name):
+        """The camera of that name. Raises ValueError with the names there are."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise ValueError(f"no camera {name!r}; there are {[camera.name for camera in self.cameras]}")

@@ -1,0 +1,48 @@
+"""What can go wrong with a machine, its physics or its files, with the numbers that say so."""
+
+
+class RigError(Exception):
+    """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
+
+
+class FileError(RigError):
+    """Outside data that cannot be used: names the file, the line and the column (both from 1), and the value.
+
+    path : file as the user would name it; line, column : int or None where a whole file is meant
+    value : the offending text or number, or None
+    """
+
+    def __init__(self, path, message, line=None, column=None, value=None):
+        self.path, self.line, self.column, self.value = str(path), line, column, value
+        place = ":".join(str(part) for part in (path, line, column) if part is not None)
+        super().__init__(f"{place}: {message}")
+
+
+class NotConverged(RigError):
+    """An iteration that ended without an answer.
+
+    index : (k,) positions in the batch; lengths : (k, 6) m; residual : (k,) m, what was left
+    """
+
+    def __init__(self, message, index, lengths, residual):
+        self.index, self.lengths, self.residual = index, lengths, residual
+        super().__init__(message)
+
+
+class Unreachable(RigError):
+    """Wanted poses that the machine cannot take.
+
+    index : (k,) positions in the batch; violations : one line of text per pose
+    """
+
+    def __init__(self, message, index, violations):
+        self.index, self.violations = index, violations
+        super().__init__("\n".join([message, *(f"  {line}" for line in violations)]))
+
+
+class NotEnoughData(RigError):
+    """Too few observations to determine what was asked for; says how many there are and how many it takes."""
+
+
+class MissingLibrary(RigError):
+    """A system library that is not installed; says which package brings it."""

@@ -1,0 +1,127 @@
+"""Gough-Stewart platform: strut lengths of a pose, the pose of strut lengths, and the Jacobian between them."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.errors import NotConverged
+
+TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
+MAX_ITERATIONS = 60
+MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
+CHUNK = 4096  # poses at a time, so that the work stays in the cache
+
+
+def inverse(T_base_platform, hexapod):
+    """Commanded strut lengths of a pose: joint centre to joint centre, less the strut's zero.
+
+    T_base_platform : RigidTransform (...); hexapod : Hexapod
+    Returns (..., 6) m; whether they are within the strut range is for `limits` to say
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 3
+    """
+    matrix = T_base_platform.as_matrix()
+    struts = hexapod.platform_joints @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3] - hexapod.base_joints
+    return np.linalg.norm(struts, axis=-1) - hexapod.strut_zeros
+
+
+def jacobian(T_base_platform, hexapod):
+    """Change of the strut lengths with the pose's tangent on the right.
+
+    T_base_platform : RigidTransform (...)
+    Returns (..., 6, 6), rows struts, columns x y z (m/m) and rx ry rz (m/rad) in the platform frame
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 5
+    """
+    matrix = T_base_platform.as_matrix()
+    return _rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
+
+
+def forward(lengths, hexapod, guess=None):
+    """Platform pose that gives these commanded strut lengths: Newton on SE(3), the whole batch at once.
+
+    lengths : (..., 6) m, as commanded (the strut zeros are added here)
+    guess : RigidTransform () or (...), the home pose by default; decides which assembly is meant
+    Returns T_base_platform : RigidTransform (...)
+    Raises NotConverged with index, lengths and residual (m) of those poses that have no solution near the guess, or whose
+    solution lies beyond a singularity, in another assembly; ValueError for a wrong shape or lengths that are not finite
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 4
+    """
+    lengths = np.asarray(lengths, float)
+    if lengths.shape[-1:] != (6,) or not np.isfinite(lengths).all():
+        raise ValueError(f"expected finite lengths (..., 6) m, got shape {lengths.shape}")
+    guess = hexapod.home if guess is None else guess
+    flat = lengths.reshape(-1, 6) + hexapod.strut_zeros
+    start = np.broadcast_to(guess.as_matrix(), (*lengths.shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    matrix, residual = start.copy(), np.empty(len(flat))
+    for at in range(0, len(flat), CHUNK):
+        part = slice(at, at + CHUNK)
+        residual[part] = _newton(matrix[part], flat[part], hexapod)
+    matrix, start = matrix.reshape(*lengths.shape[:-1], 4, 4), start.reshape(*lengths.shape[:-1], 4, 4)
+    _check(matrix, start, residual, lengths, hexapod)
+    return RigidTransform.from_matrix(matrix)
+
+
+def limits(lengths, hexapod):
+    """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0 inside."""
+    low, high = hexapod.strut_range.T
+    return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
+
+
+def _rows(R, t, hexapod):
+    """Strut lengths (..., 6) and their Jacobian (..., 6, 6) at rotation R (..., 3, 3) and position t (..., 3)."""
+    struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
+    length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
+    u = (struts / length[..., None]) @ R  # unit directions, platform frame
+    a = hexapod.platform_joints
+    J = np.empty((*u.shape[:-1], 6))
+    J[..., :3] = u
+    J[..., 3] = a[:, 1] * u[..., 2] - a[:, 2] * u[..., 1]
+    J[..., 4] = a[:, 2] * u[..., 0] - a[:, 0] * u[..., 2]
+    J[..., 5] = a[:, 0] * u[..., 1] - a[:, 1] * u[..., 0]
+    return length, J
+
+
+def _newton(matrix, lengths, hexapod):
+    """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6); returns the residual (n,) m."""
+    residual = np.full(len(matrix), np.inf)
+    open_ = np.arange(len(matrix))
+    reach = 0.3 * np.linalg.norm(hexapod.home.translation)
+    for _ in range(MAX_ITERATIONS):
+        R, t = matrix[open_, :3, :3], matrix[open_, :3, 3]
+        length, J = _rows(R, t, hexapod)
+        error = lengths[open_] - length
+        worst = np.abs(error).max(axis=1)
+        residual[open_] = worst
+        going = worst > TOLERANCE
+        if not going.any():
+            break
+        if not going.all():
+            open_, R, t, J, error = open_[going], R[going], t[going], J[going], error[going]
+        try:
+            step = np.linalg.solve(J, error[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            step = (np.linalg.pinv(J) @ error[..., None])[..., 0]
+        turn, move = np.linalg.norm(step[:, 3:], axis=1), np.linalg.norm(step[:, :3], axis=1)
+        step /= np.maximum(1.0, np.maximum(turn / MAX_TURN, move / reach))[:, None]
+        matrix[open_, :3, 3] = t + (R @ step[:, :3, None])[..., 0]
+        matrix[open_, :3, :3] = R @ _rotation(step[:, 3:])
+    return residual
+
+
+def _rotation(rotvec):
+    """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
+    return Rotation.from_rotvec(rotvec).as_matrix()
+
+
+def _check(matrix, start, residual, lengths, hexapod):
+    failed = np.flatnonzero(residual > 10 * TOLERANCE)
+    if len(failed):
+        worst = failed[np.argmax(residual[failed])]
+        raise NotConverged(f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves {residual[worst]:.3g} m "
+                           f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m", failed, lengths.reshape(-1, 6)[failed],
+                           residual[failed])
+    side = np.linalg.det(_rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1])
+    before = np.linalg.det(_rows(start[..., :3, :3], start[..., :3, 3], hexapod)[1])
+    crossed = np.flatnonzero((np.sign(side) != np.sign(before)).ravel())
+    if len(crossed):
+        raise NotConverged(f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another assembly; first at "
+                           f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m", crossed,
+                           lengths.reshape(-1, 6)[crossed], residual[crossed])

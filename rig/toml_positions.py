@@ -1,0 +1,112 @@
+"""Where each value of a TOML text stands, so that an error can name line and column (tomllib does not say)."""
+
+import re
+
+_SPACE = re.compile(r"[ \t]*")
+_BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
+_KEY = re.compile(r"""[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'""")
+_STRING = re.compile(r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*\'''', re.DOTALL)
+_SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
+
+
+def positions(text):
+    """{path: (line, column)} of every table, array element and value of a TOML text that tomllib has accepted.
+
+    A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
+    The path () stands for the start of the file.
+    """
+    scanner = _Scanner(text)
+    scanner.document()
+    starts = [0] + [match.end() for match in re.finditer("\n", text)]
+    found = {(): (1, 1)}
+    line = 0
+    for path, at in sorted(scanner.found.items(), key=lambda item: item[1]):
+        while line + 1 < len(starts) and starts[line + 1] <= at:
+            line += 1
+        found[path] = (line + 1, at - starts[line] + 1)
+    return found
+
+
+class _Scanner:
+    """A recursive descent over TOML that keeps nothing but offsets."""
+
+    def __init__(self, text):
+        self.text, self.at, self.found, self.counts = text, 0, {}, {}
+
+    def skip(self, pattern):
+        self.at = pattern.match(self.text, self.at).end()
+
+    def key(self):
+        parts = []
+        while True:
+            self.skip(_SPACE)
+            match = _KEY.match(self.text, self.at)
+            parts.append(match.group().strip("\"'"))
+            self.at = match.end()
+            self.skip(_SPACE)
+            if self.text[self.at] != ".":
+                return tuple(parts)
+            self.at += 1
+
+    def resolve(self, parts):
+        """Insert the index of the latest element wherever a part names an array of tables."""
+        path = ()
+        for part in parts:
+            path += (part,)
+            if path in self.counts:
+                path += (self.counts[path] - 1,)
+        return path
+
+    def document(self):
+        base = ()
+        while True:
+            self.skip(_BLANK)
+            if self.at >= len(self.text):
+                return
+            start = self.at
+            if self.text.startswith("[[", self.at):
+                self.at += 2
+                *above, last = self.key()
+                array = self.resolve(above) + (last,)
+                self.counts[array] = self.counts.get(array, 0) + 1
+                base = array + (self.counts[array] - 1,)
+                self.at += 2
+            elif self.text[self.at] == "[":
+                self.at += 1
+                base = self.resolve(self.key())
+                self.at += 1
+            else:
+                self.pair(base)
+                continue
+            self.found.setdefault(base, start)
+
+    def pair(self, base):
+        path = base + self.key()
+        self.at += 1  # the equals sign
+        self.skip(_SPACE)
+        self.value(path)
+
+    def value(self, path):
+        self.found[path] = self.at
+        opening = self.text[self.at]
+        if opening == "[":
+            self.items(path, "]", lambda index: self.value(path + (index,)))
+        elif opening == "{":
+            self.items(path, "}", lambda index: self.pair(path))
+        else:
+            pattern = _STRING if opening in "\"'" else _SCALAR
+            self.skip(pattern)
+
+    def items(self, path, closing, read):
+        self.at += 1
+        index = 0
+        while True:
+            self.skip(_BLANK)
+            if self.text[self.at] == closing:
+                self.at += 1
+                return
+            if self.text[self.at] == ",":
+                self.at += 1
+                continue
+            read(index)
+            index += 1
