@@ -1,0 +1,238 @@
+"""Corners of one body in one or several posed cameras -> its pose: consensus of single markers, then a robust refinement."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.pose import skew
+from vision import lens
+
+CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
+GATE = 5.0  # standard deviations; beyond, a corner is an outlier
+FINEST = 0.02  # px; a robust scale below this is rounding, not noise
+SAME = 0.05  # rad, and fraction of the distance: closer poses are one
+RIVAL = 25.0  # chi-square by which the best pose must beat a different one
+FIRST_SIGHTINGS = 4  # sightings tried as candidates before all the others are
+AGREED = 0.8  # share of corners in consensus at which the first sightings suffice
+ITERATIONS = 25
+AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
+_SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What posed cameras see of one body at one moment.
+
+    points : (n, 3) m, body frame; normals : (n, 3) of the corner's marker, body frame
+    ideal : (n, 2) image coordinates x/z, y/z, lens taken out; covariance : (n, 2, 2) of them
+    camera : (n,) index; marker : (n,) row of the marker map; corner : (n,) 0..3
+    focal : (c,) px; T_camera_world : (c, 4, 4) matrices
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    ideal: np.ndarray
+    covariance: np.ndarray
+    camera: np.ndarray
+    marker: np.ndarray
+    corner: np.ndarray
+    focal: np.ndarray
+    T_camera_world: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given; inliers : (n,) bool."""
+
+    T_world_body: RigidTransform
+    covariance: np.ndarray
+    inliers: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Unsolved:
+    """No pose, and why. False in a condition."""
+
+    reason: str
+
+    def __bool__(self):
+        return False
+
+
+def undistorted(uv, covariance, camera, cameras):
+    """Ideal coordinates (n, 2) of pixels (n, 2) and their covariance (n, 2, 2), camera by camera. NaN beyond a lens."""
+    ideal, out = np.empty_like(uv), np.empty_like(covariance)
+    for i in np.unique(camera):
+        rows, matrix, distortion = camera == i, cameras[i].matrix, cameras[i].distortion
+        ideal[rows] = lens.undistort(uv[rows], matrix, distortion)
+        points = np.concatenate([ideal[rows], np.ones((rows.sum(), 1))], axis=1)
+        back = np.linalg.inv(lens.project_jacobian(np.nan_to_num(points), matrix, distortion)[1][..., :2])
+        out[rows] = back @ covariance[rows] @ np.swapaxes(back, -1, -2)
+    return ideal, out
+
+
+def locate(view, marker_map):
+    """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand out.
+
+    view : View; marker_map : MarkerMap, which says how each marker sits on the body
+    Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against another,
+    where the sightings contradict each other, or where two different poses fit as well
+    Source: Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014 (candidates); consensus as in
+    Fischler and Bolles 1981, over all candidates instead of a random draw
+    """
+    sightings = _sightings(view)
+    if not sightings:
+        return Unsolved("no marker of the body is seen whole" if len(view.points) else "no marker of the body is seen")
+    seen = sorted({int(marker_map.id[marker]) for _, marker, _ in sightings})
+    if len(sightings) == 1:
+        return Unsolved(f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another")
+    matrices, distance = _candidates(view, sightings[:FIRST_SIGHTINGS], marker_map)
+    if not len(matrices) or (distance < CONSENSUS).mean(axis=1).max() < AGREED:
+        matrices, distance = _candidates(view, sightings, marker_map)
+    if not len(matrices):
+        return Unsolved("no single marker gives a pose in front of its camera")
+    score = (np.minimum(distance / CONSENSUS, 1) ** 2).sum(axis=1)
+    chosen = np.argmin(score)
+    best = _refine(view, matrices[chosen], distance[chosen] < CONSENSUS)
+    if best is None:
+        return Unsolved(f"markers {seen} lead to no common pose")
+    matrix, covariance, inliers, chi2 = best
+    agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
+    if agreeing < 2 or 2 * agreeing < len(sightings):
+        return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
+    rival = _rival(view, matrices, distance, matrix, chi2)
+    if rival is not None:
+        return Unsolved(f"two poses {np.degrees(rival):.0f} degrees apart fit markers {seen} equally well")
+    return Located(RigidTransform.from_matrix(matrix), covariance, inliers)
+
+
+def _sightings(view):
+    """(camera, marker, rows in corner order) of every marker seen with its four corners, largest image first."""
+    order = np.lexsort((view.corner, view.marker, view.camera))
+    key = (view.camera * 100_000 + view.marker)[order]
+    whole = [rows for rows in np.split(order, np.flatnonzero(np.diff(key)) + 1)
+             if len(rows) == 4 and np.isfinite(view.ideal[rows]).all()]
+    whole.sort(key=lambda rows: -np.ptp(view.ideal[rows], axis=0).prod())
+    return [(int(view.camera[rows[0]]), int(view.marker[rows[0]]), rows) for rows in whole]
+
+
+def _candidates(view, sightings, marker_map):
+    """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
+    found = []
+    for camera, marker, rows in sightings:
+        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * _SQUARE, view.ideal[rows], np.eye(3), None,
+                                                                flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        T_world_camera, T_marker_body = _inverse(view.T_camera_world[camera]), _inverse(marker_map.T_body_marker[marker].as_matrix())
+        for k in range(count):
+            T_camera_marker = np.eye(4)
+            T_camera_marker[:3, :3], T_camera_marker[:3, 3] = cv2.Rodrigues(rotations[k])[0], translations[k].ravel()
+            if np.isfinite(T_camera_marker).all() and T_camera_marker[2, 3] > AHEAD:
+                found.append(T_world_camera @ T_camera_marker @ T_marker_body)
+    matrices = np.array(found).reshape(-1, 4, 4)
+    return matrices, _distances(view, matrices)
+
+
+def _inverse(matrix):
+    out = np.eye(4)
+    out[:3, :3] = matrix[:3, :3].T
+    out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
+    return out
+
+
+def _ahead(view, matrices):
+    """Rotations (..., n, 3, 3) body to each corner's camera, and the corners there (..., n, 3) m."""
+    to_camera = view.T_camera_world[view.camera] @ matrices[..., None, :, :]
+    R = to_camera[..., :3, :3]
+    return R, (R @ view.points[..., None])[..., 0] + to_camera[..., :3, 3]
+
+
+def _distances(view, matrices):
+    """(k, n) px between corners and where each pose puts them; infinite where the marker would face away."""
+    R, ahead = _ahead(view, matrices)
+    facing = np.einsum("knij,nj,kni->kn", R, view.normals, ahead) < 0
+    possible = facing & (ahead[..., 2] > AHEAD)
+    gap = ahead[..., :2] / np.where(possible, ahead[..., 2], 1)[..., None] - view.ideal
+    return np.where(possible & np.isfinite(gap[..., 0]), np.linalg.norm(gap, axis=-1) * view.focal[view.camera], np.inf)
+
+
+def _refine(view, matrix, inliers):
+    """(matrix, covariance, inliers, chi-square) of a robust Gauss-Newton; None where it falls apart.
+
+    Geman-McClure weights whose scale comes down with the residuals' own, then a plain fit of the inliers.
+    """
+    finite = np.isfinite(view.ideal[:, 0])
+    whitener = np.linalg.inv(np.linalg.cholesky(np.where(finite[:, None, None], view.covariance, np.eye(2))))
+    typical = view.focal[view.camera] * np.sqrt(np.einsum("nii->n", view.covariance) / 2)
+    finest = FINEST / np.median(typical[finite])
+    inliers, hard, calm = inliers & finite, False, False
+    for iteration in range(ITERATIONS):
+        if inliers.sum() < 4:
+            return None
+        r, J = _linearise(view, matrix, whitener)
+        if r is None:
+            return None
+        square = np.where(finite, (r**2).sum(axis=1), np.inf)
+        scale = max(np.sqrt(np.median(square[inliers]) / 1.386), finest)  # median of chi-square with 2 degrees of freedom
+        gate = square < (GATE * scale) ** 2
+        if hard and calm and (gate == inliers).all():
+            break
+        hard = hard or calm or iteration > 10
+        inliers = gate if hard else inliers | gate
+        weight = inliers.astype(float) if hard else 1 / (1 + square / (3 * scale) ** 2) ** 2
+        A = (J * weight[:, None, None]).reshape(-1, 6)
+        try:
+            step = np.linalg.solve(A.T @ J.reshape(-1, 6), A.T @ r.ravel())
+        except np.linalg.LinAlgError:
+            return None
+        matrix = matrix.copy()
+        matrix[:3, 3] += matrix[:3, :3] @ step[:3]
+        matrix[:3, :3] = matrix[:3, :3] @ Rotation.from_rotvec(step[3:]).as_matrix()
+        calm = np.abs(step).max() < 1e-5
+    inliers = inliers & np.isfinite(_distances(view, matrix[None])[0])
+    if inliers.sum() < 4:
+        return None
+    H = J[inliers].reshape(-1, 6).T @ J[inliers].reshape(-1, 6)
+    if np.linalg.cond(H) > 1e14:
+        return None
+    return matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum() / scale**2)
+
+
+def _linearise(view, matrix, whitener):
+    """Whitened residuals (n, 2) and Jacobian (n, 2, 6); None where a point falls behind its camera."""
+    R, ahead = _ahead(view, matrix)
+    if (ahead[:, 2] <= AHEAD).any():
+        return None, None
+    ideal = ahead[:, :2] / ahead[:, 2:]
+    J_point = np.zeros((len(ideal), 2, 3))
+    J_point[:, 0, 0] = J_point[:, 1, 1] = 1 / ahead[:, 2]
+    J_point[:, :, 2] = -ideal / ahead[:, 2:]
+    to_body = whitener @ J_point @ R
+    r = (whitener @ np.nan_to_num(view.ideal - ideal)[..., None])[..., 0]
+    return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
+
+
+def _rival(view, matrices, distance, matrix, chi2):
+    """Angle (rad) to a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
+    near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
+    tried = [matrix]
+    for at in near[np.argsort(distance[near].max(axis=1), kind="stable")]:
+        if len(tried) > 3:
+            break
+        if any(_apart(matrices[at], other) is None for other in tried):
+            continue
+        tried.append(matrices[at])
+        other = _refine(view, matrices[at], distance[at] < CONSENSUS)
+        if other is not None and other[3] - chi2 < RIVAL and other[2].mean() >= 0.9:
+            angle = _apart(other[0], matrix)
+            if angle is not None:
+                return angle
+    return None
+
+
+def _apart(a, b):
+    """Angle (rad) between two poses that differ, None for two that are the same."""
+    angle = np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
+    far = np.linalg.norm(a[:3, 3] - b[:3, 3]) > SAME * max(np.linalg.norm(a[:3, 3]), 0.1)
+    return float(angle) if angle > SAME or far else None

@@ -1,0 +1,69 @@
+"""Where every marker of a rig sits on its body: corners in the body's frame, from cubes and from listed markers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.design import FACES, Marker
+from rig.pose import transform_points
+
+_OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+_SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # corners 0..3, clockwise from the top left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerMap:
+    """All markers of a rig, one row each.
+
+    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side, margin : (m,) m
+    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise
+    dictionary, target : m names
+    """
+
+    id: np.ndarray
+    on_platform: np.ndarray
+    T_body_marker: RigidTransform
+    side: np.ndarray
+    margin: np.ndarray
+    corners: np.ndarray
+    dictionary: list[str]
+    target: list[str]
+
+    def rows(self, ids):
+        """Row of each identity (n,) -> (n,); -1 for one that no target has."""
+        order = np.argsort(self.id)
+        at = np.minimum(np.searchsorted(self.id[order], ids), len(order) - 1)
+        return np.where(self.id[order][at] == ids, order[at], -1)
+
+
+def markers(target):
+    """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z."""
+    if target.listed:
+        return target.listed
+    margin = (target.edge - target.marker) / 2
+    return tuple(Marker(number, target.marker, target.pose * face_pose(face, target.edge), margin) for face, number in target.faces)
+
+
+def face_pose(face, edge):
+    """T_cube_marker of a face ("+x" .. "-z") of a cube with that edge (m): x right, y up, z out, seen from outside."""
+    if face not in FACES:
+        raise ValueError(f"expected a face out of {FACES}, got {face!r}")
+    out = np.array(_OUT[face], float)
+    up = np.array([0, 1, 0] if face[1] == "z" else [0, 0, 1], float)
+    rotation = Rotation.from_matrix(np.stack([np.cross(up, out), up, out], axis=-1))
+    return RigidTransform.from_components(out * edge / 2, rotation)
+
+
+def marker_map(design):
+    """MarkerMap of a Design. Raises ValueError for a design without targets."""
+    rows = [(marker, target) for target in design.targets for marker in markers(target)]
+    if not rows:
+        raise ValueError(f"design {design.name!r} has no targets")
+    T = RigidTransform.concatenate([marker.pose for marker, _ in rows])
+    side = np.array([marker.side for marker, _ in rows])
+    return MarkerMap(
+        id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body == "platform" for _, target in rows]),
+        T_body_marker=T, side=side, margin=np.array([marker.margin for marker, _ in rows]),
+        corners=transform_points(T, side[:, None, None] * _SQUARE), dictionary=[target.dictionary for _, target in rows],
+        target=[target.name for _, target in rows])
