@@ -1,0 +1,152 @@
+"""Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from rig.errors import FileError
+from rig.pose import transform_points
+from rig.recording import Corners
+from vision import lens
+from vision.detect import detect, grey, place
+
+STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
+INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
+FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Collected:
+    """Corners of all images; left_out : (frame, camera, identity, reason) of markers read but not placed;
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
+
+    corners: Corners
+    left_out: list[tuple[int, str, int, str]]
+    blur: dict[str, np.ndarray]
+    noise: dict[str, np.ndarray]
+
+
+def read_image(path):
+    """Image as stored. Raises FileError for one that cannot be decoded."""
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise FileError(path, "cannot be decoded as an image")
+    return image
+
+
+def collect(recording, marker_map, progress=None):
+    """Collected from every image of a recording. progress : called with (done, of), or None.
+
+    Raises FileError naming the image that cannot be decoded or has another size than its camera.
+    """
+    rows = [i for i, name in enumerate(recording.exposures.image) if name]
+    work = [(recording.exposures.frame[i], recording.design.camera(recording.exposures.camera[i]), recording.exposures.image[i]) for i in rows]
+
+    def one(item):
+        frame, camera, name = item
+        image = read_image(recording.folder / name)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
+                            f"{camera.width} x {camera.height} px")
+        return detect(image, camera, marker_map)
+
+    found = _in_parallel(one, work, progress)
+    left_out = [(int(frame), camera.name, number, reason) for (frame, camera, _), d in zip(work, found) for number, reason in d.left_out]
+    return Collected(_corners([(frame, camera.name, d) for (frame, camera, _), d in zip(work, found)]), left_out,
+                     _by_camera(work, found, "blur"), _by_camera(work, found, "noise"))
+
+
+def look_again(recording, collected, measurement, marker_map, progress=None):
+    """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
+
+    measurement : Measurement of the collected corners. A marker is added where it is found within FALSE_ALARM of its place.
+    """
+    camera_of = {camera.name: camera for camera in measurement.design.cameras}
+    seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
+    matrices = dict(zip(measurement.frames.tolist(), measurement.T_base_platform))
+    work = []
+    for i, name in enumerate(recording.exposures.image):
+        frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
+        if not name or frame not in matrices or camera.mount == "moving":
+            continue
+        rows, places = expected(camera, matrices[frame], marker_map)
+        fresh = [k for k, row in enumerate(rows) if (frame, camera.name, int(marker_map.id[row])) not in seen]
+        if fresh:
+            work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
+
+    def one(item):
+        frame, camera, name, numbers, places = item
+        _, full = grey(read_image(recording.folder / name))
+        return place(full, camera, marker_map, numbers, places)
+
+    found = []
+    for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
+        at = [numbers.tolist().index(number) for number in d.marker]
+        near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
+        found.append((frame, camera.name, d, near))
+    extra = _corners([(frame, name, d) for frame, name, d, _ in found], [near for *_, near in found])
+    return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise)
+
+
+def expected(camera, T_base_platform, marker_map):
+    """Marker rows (k,) that a camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
+    points = marker_map.corners.copy()
+    on = marker_map.on_platform
+    points[on] = transform_points(T_base_platform, points[on].reshape(-1, 3)).reshape(-1, 4, 3)
+    ahead = transform_points(camera.pose.inv(), points.reshape(-1, 3)).reshape(-1, 4, 3)
+    out = np.cross(ahead[:, 3] - ahead[:, 0], ahead[:, 1] - ahead[:, 0])
+    centre = ahead.mean(axis=1)
+    cosine = -np.einsum("mi,mi->m", out, centre) / np.linalg.norm(out, axis=1) / np.linalg.norm(centre, axis=1)
+    rows = np.flatnonzero((cosine > STEEPEST) & (ahead[..., 2] > 1e-3).all(axis=1))
+    uv = lens.project(ahead[rows], camera.matrix, camera.distortion)
+    inside = ((uv > INSIDE) & (uv < np.array([camera.width, camera.height]) - 1 - INSIDE)).all(axis=(1, 2))
+    return rows[inside], uv[inside]
+
+
+def _in_parallel(one, work, progress):
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # images are the parallel unit
+    try:
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            results = []
+            futures = [pool.submit(one, item) for item in work]
+            try:
+                for future in futures:
+                    results.append(future.result())
+                    if progress:
+                        progress(len(results), len(work))
+            finally:
+                for future in futures:
+                    future.cancel()
+            return results
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _corners(found, keep=None):
+    """Corners of (frame, camera name, Detection) rows; keep : per row, which of its markers (all by default)."""
+    frame, camera, marker, uv, covariance = [], [], [], [], []
+    for k, (number, name, d) in enumerate(found):
+        for i in np.flatnonzero(keep[k]) if keep is not None else range(len(d.marker)):
+            for c in range(4):
+                frame.append(number)
+                camera.append(name)
+                marker.append(d.marker[i])
+                uv.append(d.corners[i, c])
+                covariance.append(d.covariance[i, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2])
+    count = len(frame)
+    return Corners(np.array(frame, int), camera, np.array(marker, int), np.tile(np.arange(4), count // 4),
+                   np.array(uv).reshape(-1, 2), np.array(covariance).reshape(-1, 2, 2))
+
+
+def _joined(a, b):
+    return Corners(np.r_[a.frame, b.frame], a.camera + b.camera, np.r_[a.marker, b.marker], np.r_[a.corner, b.corner],
+                   np.concatenate([a.uv, b.uv]), np.concatenate([a.covariance, b.covariance]))
+
+
+def _by_camera(work, found, what):
+    names = list(dict.fromkeys(camera.name for _, camera, _ in work))
+    return {name: np.concatenate([getattr(d, what) for (_, camera, _), d in zip(work, found) if camera.name == name]) for name in names}
