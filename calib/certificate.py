@@ -1,0 +1,106 @@
+"""What a calibration promises, from poses that it was not fitted to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.correction import calibrate
+from calib.samples import blocks
+from rig import mechanisms
+from rig.pose import difference
+
+FOLDS = 5
+DRAWS = 1000
+GAIN = 2.0  # standard errors by which the remainder must pay on held-out poses to be kept
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,)."""
+
+    n: int
+    position: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+    bias: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
+
+    floor : (m, rad) RMS standard uncertainty of the measured poses themselves
+    ratio : before / after in position, with its 95 % bootstrap interval (low, high)
+    """
+
+    before: Figures
+    after: Figures
+    floor: tuple[float, float]
+    ratio: tuple[float, float, float]
+
+
+def figures(errors):
+    """Figures of pose errors (n, 6), position (m) and rotation (rad)."""
+    def three(parts):
+        length = np.linalg.norm(parts, axis=1)
+        return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
+
+    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()))
+
+
+def compare(errors_before, errors_after, covariance, rng):
+    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses."""
+    before, after = figures(errors_before), figures(errors_after)
+    squares = [(e[:, :3] ** 2).sum(axis=1) for e in (errors_before, errors_after)]
+    picks = rng.integers(len(errors_before), size=(DRAWS, len(errors_before)))
+    draws = np.sqrt(squares[0][picks].mean(axis=1) / np.maximum(squares[1][picks].mean(axis=1), 1e-300))
+    floor = (float(np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean())),
+             float(np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2).mean())))
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return HeldOut(before, after, floor, (before.position[0] / max(after.position[0], 1e-300), float(low), float(high)))
+
+
+def errors_of(correction, samples):
+    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's."""
+    nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
+    return difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+
+
+def certify(samples, nominal, rng):
+    """(Correction, Identified, HeldOut): calibrated on all samples, and what was left on stretches held out in turn.
+
+    The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness are
+    those found on the whole recording. rng : numpy Generator, for the bootstrap
+    """
+    correction, found = calibrate(samples, nominal)
+    before, plain = _held_out(samples, nominal, "none")
+    if any(correction.remainder):
+        _, corrected = _held_out(samples, nominal, correction.remainder)
+        precision = np.linalg.inv(samples.total_covariance())
+        gain = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
+        gain = gain[0] - gain[1]
+        if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / _correlation(gain)):
+            return correction, found, compare(before, corrected, samples.total_covariance(), rng)
+        correction, found = calibrate(samples, nominal, "none")
+    return correction, found, compare(before, plain, samples.total_covariance(), rng)
+
+
+def _held_out(samples, nominal, remainder):
+    fold = blocks(len(samples), min(FOLDS, len(samples) // 8 or 2))
+    before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+    for k in np.unique(fold):
+        correction, _ = calibrate(samples.take(fold != k), nominal, remainder)
+        before[fold == k], after[fold == k] = errors_of(correction, samples.take(fold == k))
+    return before, after
+
+
+def _correlation(series):
+    """How many neighbours in time say the same: 1 + 2 x the sum of the autocorrelations before they first turn negative."""
+    centred = series - series.mean()
+    total = (centred**2).sum()
+    factor = 1.0
+    for lag in range(1, len(series) // 4):
+        c = (centred[lag:] * centred[:-lag]).sum() / max(total, 1e-300)
+        if c <= 0:
+            break
+        factor += 2 * c
+    return factor

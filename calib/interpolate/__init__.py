@@ -1,0 +1,1 @@
+"""Ways to extend corrections from visited configurations over the whole configuration space."""

@@ -1,0 +1,106 @@
+"""A correction summand known with noise at scattered configurations -> over the whole configuration space (Gaussian process).
+
+The summand of a strut is the sum of a function of that strut's own command (screw, encoder, scale) and a function of the
+whole configuration; how large and how smooth either is, is found by maximum likelihood. Far from any sample it fades to
+zero, which leaves the fitted geometry alone. Source: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006,
+eqs 2.25, 2.30, 5.9.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+LARGEST = 400  # samples on which size and smoothness are found; more are thinned out for that
+STARTS = ((0.1, 1.5), (0.6, 1.5))  # smoothness to start from, in half strokes: along the strut, over the configuration
+OWN, WHOLE = np.log([0.02, 10.0]), np.log([0.7, 10.0])  # in six dimensions hundreds of samples resolve nothing finer
+BOUNDS = ((-12, 5), OWN, (-12, 5), WHOLE, (-12, 5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Radial:
+    """centre, half : (axes,) scale of the configuration space; axis : the strut's index; inputs : (n, axes) scaled;
+    weights : (n,) m; sizes : (2,) m and lengths : (2,) half strokes of the two functions; noise : m beyond what was stated."""
+
+    centre: np.ndarray
+    half: np.ndarray
+    axis: int
+    inputs: np.ndarray
+    weights: np.ndarray
+    sizes: np.ndarray
+    lengths: np.ndarray
+    noise: float
+
+    def __call__(self, configurations):
+        """(...,) m, the summand at configurations (..., axes)."""
+        scaled = (np.asarray(configurations, float) - self.centre) / self.half
+        flat = scaled.reshape(-1, scaled.shape[-1])
+        own, whole = _kernels(flat, self.inputs, self.axis, self.lengths)
+        values = (self.sizes[0] ** 2 * own + self.sizes[1] ** 2 * whole) @ self.weights
+        return values.reshape(scaled.shape[:-1])
+
+
+def fit(configurations, values, variances, axis, strokes, like=None):
+    """Radial through noisy summands, or None where noise alone explains them (by the Bayesian information criterion).
+
+    configurations : (n, axes) m; values : (n,) m; variances : (n,) m^2, stated; axis : the strut's index
+    strokes : (axes, 2) m, the configuration space; like : a Radial whose sizes, lengths and noise are taken over, or None
+    """
+    centre, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
+    scaled = (configurations - centre) / half
+    unit = max(float(np.sqrt(np.mean(variances))), 1e-12)
+    y, v = values / unit, variances / unit**2
+    if like is None:
+        hyper = _hyper(scaled, y, v, axis)
+        if hyper is None:
+            return None
+        sizes, lengths, noise = hyper[[0, 2]], hyper[[1, 3]], hyper[4]
+    else:
+        sizes, lengths, noise = like.sizes / unit, like.lengths, like.noise / unit
+    own, whole = _kernels(scaled, scaled, axis, lengths)
+    K = sizes[0] ** 2 * own + sizes[1] ** 2 * whole + np.diag(v + noise**2)
+    weights = cho_solve(cho_factor(K, lower=True), y)
+    return Radial(centre, half, axis, scaled, weights / unit, sizes * unit, lengths, float(noise * unit))
+
+
+def _hyper(scaled, y, v, axis):
+    """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
+    thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
+    best = None
+    for own, whole in STARTS:
+        start = np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0])
+        found = minimize(_likelihood, start, (scaled[thin], y[thin], v[thin], axis), jac=True, method="L-BFGS-B", bounds=BOUNDS,
+                         options={"maxiter": 40})
+        if best is None or found.fun < best.fun:
+            best = found
+    null = minimize(lambda p: _noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
+    return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
+
+
+def _kernels(a, b, axis, lengths):
+    own = np.exp(-0.5 * ((a[:, None, axis] - b[None, :, axis]) / lengths[0]) ** 2)
+    square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    return own, np.exp(-0.5 * np.maximum(square, 0) / lengths[1] ** 2)
+
+
+def _likelihood(p, x, y, v, axis):
+    """Negative log likelihood and its gradient to the logarithms of size, length, size, length, noise."""
+    size1, length1, size2, length2, noise = np.exp(p)
+    gap = (x[:, None, axis] - x[None, :, axis]) ** 2
+    square = np.maximum((x**2).sum(axis=1)[:, None] + (x**2).sum(axis=1) - 2 * x @ x.T, 0)
+    own, whole = size1**2 * np.exp(-0.5 * gap / length1**2), size2**2 * np.exp(-0.5 * square / length2**2)
+    K = own + whole + np.diag(v + noise**2)
+    factor = cho_factor(K, lower=True)
+    alpha = cho_solve(factor, y)
+    value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum()
+    outer = cho_solve(factor, np.eye(len(y))) - np.outer(alpha, alpha)
+    parts = (2 * own, own * gap / length1**2, 2 * whole, whole * square / length2**2)
+    gradient = [0.5 * np.sum(outer * part) for part in parts] + [noise**2 * np.trace(outer)]
+    return value, np.array(gradient)
+
+
+def _noise_only(p, y, v):
+    total = v + np.exp(2 * p[0])
+    value = 0.5 * np.sum(y**2 / total + np.log(total))
+    return value, np.array([np.sum((1 / total - y**2 / total**2) * np.exp(2 * p[0]))])

@@ -1,0 +1,59 @@
+"""What was commanded and what was measured, side by side: the samples that everything in calib is fitted to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.errors import NotEnoughData
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """n visited configurations.
+
+    frame : (n,) numbers; t : (n,) s; commanded : (n, axes) m or rad
+    T_base_platform : RigidTransform (n,), measured (GDK of the commanded configuration)
+    covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out
+    common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses
+    """
+
+    frame: np.ndarray
+    t: np.ndarray
+    commanded: np.ndarray
+    T_base_platform: RigidTransform
+    covariance: np.ndarray
+    common: np.ndarray
+
+    def __post_init__(self):
+        if not len(self.frame):
+            raise NotEnoughData("there is no frame with both a command and a measured pose")
+
+    def __len__(self):
+        return len(self.frame)
+
+    def take(self, index):
+        """The samples of an index or mask (n,)."""
+        return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
+                       self.common[index])
+
+    def total_covariance(self):
+        """(n, 6, 6) covariance of each pose, shared errors included."""
+        return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
+
+
+def samples(recording, frames, T_base_platform, covariance, common=None):
+    """Samples of a recording's commands and poses measured at some of its frames.
+
+    frames : (f,) numbers of the measured frames; covariance : (f, 6, 6) without what `common` (f, 6, k) adds
+    Raises RigError without commands, NotEnoughData where no frame has both.
+    """
+    known, t, values = recording.commanded()
+    at = np.searchsorted(known, frames)
+    common = np.zeros((len(frames), 6, 0)) if common is None else common
+    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common)
+
+
+def blocks(count, folds):
+    """(count,) fold number of each sample: whole stretches in time, as equal as can be, never single rows."""
+    return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)
