@@ -293,3 +293,13 @@ def write_corners(path, corners):
             cells.append(f"{np.sqrt(np.trace(c) / 2):.5f},{c[0, 0]:.4e},{c[0, 1]:.4e},{c[1, 1]:.4e}")
         lines.append(",".join(cells))
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def copy_times(source, target, exposures):
+    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording."""
+    lines = ["frame,t,camera,image"]
+    lines += [f"{frame},{t:.6f},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
+    (Path(target) / "frames.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for name in ("commands.csv", "sensors.csv"):
+        if (Path(source) / name).exists():
+            (Path(target) / name).write_bytes((Path(source) / name).read_bytes())

@@ -13,6 +13,8 @@ from vision.observations import Observations
 
 GATE = 5.0  # standard deviations; a corner beyond is an outlier (3 in a million of honest ones are)
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted
+STANDING_GROUPS = 20  # repeated corners from which their standing error can be told
+STANDING_PROOF = 4.0  # standard errors by which it must exceed chance
 ENOUGH = 50  # degrees of freedom from which the residuals' own scale is trusted over the stated one
 
 
@@ -25,7 +27,8 @@ class Measurement:
     common : (f, 6, k) the part of it shared by all frames: error = common[f] z + its own, z ~ N(0, I)
     unsolved : {frame number: reason}; observations : all corners, covariance scaled to the scatter seen
     inliers : (n,) bool; residuals : (n, 2) px, NaN where the frame is unsolved
-    noise : px, standard deviation of a corner per axis; factor : what stated covariances were multiplied by
+    noise : px, standard deviation of a corner per axis; standing : px, the part of a corner's error that comes back in every
+    frame where neither camera nor marker moves; factor : what stated covariances were multiplied by
     adjustment : the last Adjustment, for its shared unknowns
     """
 
@@ -39,6 +42,7 @@ class Measurement:
     inliers: np.ndarray
     residuals: np.ndarray
     noise: float
+    standing: float
     factor: float
     adjustment: Adjustment
 
@@ -58,17 +62,18 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
                   {i: _filled(T, len(observations.frames)) for i, T in moving.items()})
     result, solved, inliers, scale = _adjust_robustly(observations, state, free, unsolved)
     keep = np.isin(observations.frame, solved)
-    numbers = observations.frames[solved]
-    given = scale**2 * result.platform_given_cameras
-    common = scale * result.platform_common
+    observations = replace(observations, covariance=scale**2 * observations.covariance)
+    kept, good = _only(observations, solved), inliers[keep]
+    weights, standing = _standing(kept, good, result.state)
+    result = adjust(replace(kept, covariance=weights).take(good), result.state, free)
+    numbers, common = observations.frames[solved], result.platform_common
     residuals = np.full((len(observations), 2), np.nan)
-    kept = _only(observations, solved)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]
-    scaled = replace(observations, covariance=observations.covariance * scale**2)
-    noise = np.sqrt(np.median(np.einsum("nii->n", scaled.covariance[keep])) / 2)
+    noise = np.sqrt(np.median(np.einsum("nii->n", kept.covariance)) / 2)
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
-                       given + common @ np.swapaxes(common, 1, 2), common, {int(observations.frames[f]): r for f, r in unsolved.items()},
-                       scaled, inliers, residuals, float(noise), float(scale**2), result)
+                       result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
+                       {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, inliers, residuals,
+                       float(noise), standing, float(scale**2), result)
 
 
 def _filled(poses, count):
@@ -178,6 +183,34 @@ def _adjust_robustly(observations, state, free, unsolved):
     everywhere[np.isin(observations.frame, solved)] = inliers
     scale = np.sqrt(result.cost / result.dof) if result.dof >= ENOUGH else 1.0
     return result, solved, everywhere, scale
+
+
+def _standing(observations, inliers, state):
+    """(covariances (n, 2, 2) to weigh corners by, standing error px).
+
+    A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it comes
+    back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their means miss
+    beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the weight of one mean.
+    """
+    fixed = np.array([i not in state.moving for i in range(len(state.cameras))])
+    rows = np.flatnonzero(inliers & ~observations.on_platform & fixed[observations.camera])
+    covariance = observations.covariance.copy()
+    key = (observations.camera[rows] * (observations.marker.max(initial=0) + 1) + observations.marker[rows]) * 4 + observations.corner[rows]
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    if not len(count) or (count > 1).sum() < STANDING_GROUPS:
+        return covariance, 0.0
+    residual = observations.uv[rows] - predict(observations.take(rows), state)[0]
+    mean = np.stack([np.bincount(index, weights=residual[:, c]) / count for c in range(2)], axis=1)
+    many = count > 1
+    within = ((residual - mean[index])[many[index]] ** 2).sum() / (2 * (count[many] - 1).sum())
+    unknowns = 12 * len(np.unique(observations.camera[rows]))  # what each camera bends to follow its standing errors
+    between = (mean[many] ** 2).sum() / max(2 * many.sum() - unknowns, 1)
+    chance = within * np.mean(1 / count[many])
+    excess = between - chance
+    if excess < STANDING_PROOF * chance / np.sqrt(many.sum()):
+        return covariance, 0.0
+    covariance[rows] += (count[index] * excess)[:, None, None] * np.eye(2)
+    return covariance, float(np.sqrt(excess))
 
 
 def _at(state, solved):

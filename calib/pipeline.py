@@ -1,0 +1,53 @@
+"""A recording -> its samples, from whichever instrument it has."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.samples import Samples, samples
+from rig.errors import NotEnoughData, RigError
+from vision.collect import Collected
+from vision.measure import Measurement
+from vision.recorded import measure_recording
+
+UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None."""
+
+    samples: Samples
+    source: str
+    measurement: Measurement | None
+    collected: Collected | None
+
+
+def sample_recording(recording, free=("poses", "lenses"), progress=None):
+    """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else poses.csv.
+
+    progress : called with (label, done, of), or None. Raises RigError without commands, NotEnoughData without poses.
+    """
+    recording.commanded()  # a recording that nobody commanded fails before its images are read
+    outside = recording.poses is not None and (recording.design.instrument is not None
+                                               or (recording.corners is None and not recording.has_images))
+    if outside:
+        return Sampled(_from_poses(recording), "poses.csv", None, None)
+    if recording.corners is None and not recording.has_images:
+        raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
+    measured, collected = measure_recording(recording, free, progress=progress)
+    own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
+    source = "images" if collected is not None else "corners.csv"
+    return Sampled(samples(recording, measured.frames, measured.T_base_platform, own, measured.common), source, measured, collected)
+
+
+def _from_poses(recording):
+    instrument, poses = recording.design.instrument, recording.poses
+    if instrument is not None and "free" in (instrument.base, instrument.tool):
+        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") cannot be solved for yet; "
+                       "state its poses in the rig's own frames")
+    covariance = poses.covariance
+    if covariance is None:
+        position, rotation = (instrument.position_sigma, instrument.rotation_sigma) if instrument is not None else UNSTATED
+        covariance = np.broadcast_to(np.diag([position**2] * 3 + [rotation**2] * 3), (len(poses.frame), 6, 6))
+    return samples(recording, poses.frame, poses.T_base_platform, covariance)

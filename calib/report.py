@@ -1,0 +1,223 @@
+"""Pages that a rig's owner can read offline: figures in one self-contained HTML file, in mm and mrad."""
+
+import base64
+import html
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib.certificate import errors_of
+from rig import mechanisms
+from rig.pose import vector
+
+STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
+h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
+td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}td:first-child,th:first-child{text-align:left}
+.note{color:#666;font-size:.9em}"""
+
+
+def page(path, title, parts):
+    """Write a self-contained HTML page. parts : strings of HTML and matplotlib Figures, in order."""
+    body = "\n".join(_picture(part) if isinstance(part, Figure) else part for part in parts)
+    text = (f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
+            f"<h1>{html.escape(title)}</h1>\n{body}\n</html>\n")
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def table(header, rows):
+    """HTML of a table: header and rows of text."""
+    def cells(row, tag):
+        return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in row) + "</tr>"
+
+    return "<table>" + cells(header, "th") + "".join(cells(row, "td") for row in rows) + "</table>"
+
+
+def _picture(figure):
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
+
+
+def measurement_page(path, recording, measurement, collected):
+    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames."""
+    m = measurement
+    total = len(recording.exposures.times()[0])
+    rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
+    position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
+    parts = [f"<p>{len(m.frames)} of {total} frames solved; {m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} "
+             f"set aside as outliers. A corner scatters by <b>{m.noise:.4f} px</b> per axis. A pose is uncertain by "
+             f"{np.sqrt((position**2).mean()) * 1e6:.1f} &micro;m and {np.sqrt((rotation**2).mean()) * 1e6:.1f} &micro;rad "
+             "(RMS standard uncertainty of its length, cameras' own uncertainty included).</p>",
+             "<h2>What the cameras leave over</h2><p class=note>Mean residual over patches of the image, drawn enlarged; a pattern here is a lens "
+             "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", _coverage(vector(m.T_base_platform)),
+             "<h2>How well each pose is known</h2>", _uncertainty(m, position, rotation), "<h2>Cameras</h2>", _cameras(recording, m)]
+    worst = _worst_markers(m)
+    if worst:
+        parts += ["<h2>Markers that disagree</h2><p class=note>Share of a marker's corners set aside: a face askew, a wrong print, a covered "
+                  "marker.</p>", table(("marker", "corners", "set aside"), worst)]
+    if m.unsolved:
+        parts += ["<h2>Frames without a pose</h2>", table(("frame", "reason"), sorted(m.unsolved.items()))]
+    if collected is not None and collected.left_out:
+        parts += ["<h2>Markers read but not placed</h2>", table(("frame", "camera", "marker", "reason"), collected.left_out[:200])]
+    page(path, f"Measurement of {recording.folder.resolve().name}", parts)
+
+
+def _residual_maps(m):
+    cameras = m.design.cameras
+    figure = Figure(figsize=(11, 3.4 * -(-len(cameras) // 3)), layout="constrained")
+    for i, camera in enumerate(cameras):
+        axes = figure.add_subplot(-(-len(cameras) // 3), min(3, len(cameras)), i + 1)
+        rows = (m.observations.camera == i) & m.inliers
+        axes.set(title=f"{camera.name}: {rows.sum()} corners", xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal")
+        if not rows.any():
+            continue
+        uv, r = m.observations.uv[rows], m.residuals[rows]
+        cell = camera.width / 16
+        key = (uv // cell).astype(int) @ [1, 1000]
+        keys, index, count = np.unique(key, return_inverse=True, return_counts=True)
+        mean = np.stack([np.bincount(index, weights=r[:, c]) / count for c in range(2)], axis=1)
+        centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
+        enough = count >= 5
+        rms = np.sqrt(np.bincount(index, weights=(r**2).sum(axis=1)) / count / 2)
+        dots = axes.scatter(*centre[enough].T, c=rms[enough], s=40, cmap="viridis", marker="s", alpha=0.5)
+        scale = max(np.abs(mean[enough]).max(initial=0), 1e-6) / (0.8 * cell)
+        axes.quiver(*centre[enough].T, *mean[enough].T, angles="xy", scale_units="xy", scale=scale, color="crimson", width=0.004)
+        figure.colorbar(dots, ax=axes, label="RMS, px", shrink=0.8)
+        axes.set_xlabel(f"longest arrow {scale * 0.8 * cell:.3f} px", fontsize=8)
+    return figure
+
+
+def _coverage(vectors):
+    figure = Figure(figsize=(11, 3.2), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for a, (i, j) in zip(axes[:2], ((0, 1), (0, 2))):
+        a.plot(vectors[:, i] * 1e3, vectors[:, j] * 1e3, ".", ms=4)
+        a.set(xlabel=f"{'xyz'[i]}, mm", ylabel=f"{'xyz'[j]}, mm")
+    for k, name in enumerate(("rx", "ry", "rz")):
+        axes[2].plot(np.degrees(vectors[:, 3 + k]), ".", ms=3, label=name)
+    axes[2].set(xlabel="solved frame", ylabel="rotation vector, degrees")
+    axes[2].legend(fontsize=8)
+    return figure
+
+
+def _uncertainty(m, position, rotation):
+    figure = Figure(figsize=(11, 2.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.plot(m.frames, position * 1e6, ".", ms=4)
+    left.set(xlabel="frame", ylabel="position, um", ylim=(0, None))
+    right.plot(m.frames, rotation * 1e6, ".", ms=4, color="tab:orange")
+    right.set(xlabel="frame", ylabel="rotation, urad", ylim=(0, None))
+    return figure
+
+
+def _cameras(recording, m):
+    sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance) * m.factor)))
+    rows = []
+    for stated, found in zip(recording.design.cameras, m.design.cameras):
+        moved = vector(stated.pose.inv() * found.pose)
+        rows.append((found.name, f"{np.linalg.norm(moved[:3]) * 1e3:.3f}", f"{np.linalg.norm(moved[3:]) * 1e3:.3f}",
+                     *(f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}" for term, value in
+                       (("fx", found.matrix[0, 0]), ("fy", found.matrix[1, 1]), ("cx", found.matrix[0, 2]), ("cy", found.matrix[1, 2])))))
+    return table(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
+
+
+def _worst_markers(m):
+    o, known = m.observations, np.isfinite(m.residuals[:, 0])
+    rows = []
+    for marker in np.unique(o.marker[known]):
+        own = known & (o.marker == marker)
+        share = 1 - m.inliers[own].mean()
+        if share > 0.05:
+            rows.append((share, int(marker), int(own.sum())))
+    ids = _ids(m)
+    return [(ids[marker], count, f"{share:.0%}") for share, marker, count in sorted(rows, reverse=True)[:12]]
+
+
+def _ids(m):
+    return [number for target in m.design.targets for number in target.ids]
+
+
+def calibration_page(path, recording, calibration, samples, found):
+    """Write the page of a calibration: before and after on held-out poses, strut corrections, coverage, parameters."""
+    held, correction = calibration.held_out, calibration.correction
+    rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
+    parts = [f"<p>Held-out poses (whole stretches in turn, N = {held.after.n}): the error falls from "
+             f"<b>{held.before.position[0] * 1e3:.3f} mm</b> to <b>{held.after.position[0] * 1e3:.4f} mm</b> RMS, {held.ratio[0]:.0f} times "
+             f"(95 % interval {held.ratio[1]:.0f} to {held.ratio[2]:.0f}). The measured poses themselves are uncertain by "
+             f"{held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad: what is left is {held.after.position[0] / held.floor[0]:.2f} "
+             "times that.</p>",
+             table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows),
+             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _before_after(correction, samples),
+             "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Line: the correction at "
+             "the same configurations.</p>", _corrections(correction, samples),
+             "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
+             _coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
+             "<h2>Where this came from</h2>", table(("what", "value"), _flat(calibration.provenance))]
+    page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+
+
+def _figures(f):
+    return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
+
+
+def _before_after(correction, samples):
+    before, after = errors_of(correction, samples)
+    figure = Figure(figsize=(11, 3), layout="constrained")
+    for axes, part, label, in zip(figure.subplots(1, 2), (slice(0, 3), slice(3, 6)), ("position, mm", "rotation, mrad")):
+        for errors, name in ((before, "owner's model"), (after, "corrected")):
+            axes.semilogy(samples.frame, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=4, label=name)
+        axes.set(xlabel="frame", ylabel=label)
+        axes.legend(fontsize=8)
+    return figure
+
+
+def _corrections(correction, samples):
+    seen = samples.commanded - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
+    modelled = correction.summand(samples.commanded)
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    for i, axes in enumerate(figure.subplots(2, 3).ravel()):
+        order = np.argsort(samples.commanded[:, i])
+        axes.plot(samples.commanded[:, i] * 1e3, seen[:, i] * 1e3, ".", ms=4)
+        axes.plot(samples.commanded[order, i] * 1e3, modelled[order, i] * 1e3, "x", ms=3, alpha=0.6)
+        axes.set(title=f"strut {i + 1}", xlabel="commanded, mm", ylabel="correction, mm")
+    return figure
+
+
+def _left(samples, found):
+    figure = Figure(figsize=(11, 3), layout="constrained")
+    axes = figure.subplots()
+    sigma = np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())
+    for i in range(6):
+        axes.plot(samples.frame, found.residuals[:, i] * 1e6, ".", ms=3, label=f"strut {i + 1}")
+    axes.axhspan(-2 * sigma * 1e6, 2 * sigma * 1e6, color="grey", alpha=0.2, label="2 sigma of a pose")
+    axes.set(xlabel="frame", ylabel="strut, um")
+    axes.legend(fontsize=7, ncols=7)
+    return figure
+
+
+def _parameters(calibration):
+    fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
+    sigma = np.sqrt(np.diag(calibration.covariance))
+    rows = []
+    for name, start in (("base_joints", 0), ("platform_joints", 18), ("strut_zeros", 36)):
+        change = (getattr(fitted, name) - getattr(nominal, name)).reshape(6, -1)
+        for i in range(6):
+            width = change.shape[1]
+            u = sigma[start + width * i : start + width * (i + 1)]
+            rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(change[i], u)),
+                         *[""] * (3 - width)))
+    return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
+
+
+def _flat(tree, prefix=""):
+    rows = []
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        rows += _flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+    return rows
