@@ -5,7 +5,7 @@ import json
 import os
 import platform
 from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
+from datetime import datetime, UTC
 from importlib.metadata import version
 from pathlib import Path
 
@@ -49,7 +49,7 @@ def provenance(recording, arguments, seed, used_images):
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
     return {"recording": folder.resolve().name, "inputs_sha256": files, "arguments": list(arguments), "seed": seed,
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
-            "created": datetime.now(timezone.utc).isoformat(timespec="seconds")}
+            "created": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
 def _hash(paths):

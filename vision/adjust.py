@@ -7,12 +7,11 @@ pose). Targets are held as stated: those on the base fix the base frame, those o
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from rig.design import Camera
 from rig.errors import NotEnoughData, RigError
-from rig.pose import exp, skew, transform_points
+from rig.pose import exp, skew
 from vision import lens
+from vision.predict import State, base_points, by_camera, in_camera, predict
 
 # What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can see,
 # narrow enough that a term they cannot see stays where its owner put it.
@@ -23,15 +22,6 @@ TERM_PRIOR = {"k1": 0.1, "k2": 0.3, "p1": 0.005, "p2": 0.005, "k3": 0.3, "k4": 0
 POSE_SCALE = 1e-3  # m, rad; only conditions the equations
 MAX_ITERATIONS = 30
 CONVERGED = 1e-9  # relative decrease of the cost
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """Cameras (fixed ones posed), platform : T_base_platform (F,), moving : {camera index: T_base_camera (F,)}."""
-
-    cameras: tuple[Camera, ...]
-    platform: RigidTransform
-    moving: dict[int, RigidTransform]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,42 +108,10 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None):
     return _finish(observations, state, stated, layout, basis, whitener, groups, used)
 
 
-def predict(observations, state):
-    """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind it."""
-    base, uv, ahead = _points(observations, state), np.empty((len(observations), 2)), np.empty((len(observations), 3))
-    for i, camera, rows in _by_camera(observations, state):
-        ahead[rows] = _in_camera(base[rows], observations.frame[rows], state, i)
-        uv[rows] = lens.project(ahead[rows], camera.matrix, camera.distortion)
-    return uv, ahead
-
-
 def lens_prior(camera):
     """(4 + terms,) standard deviations that a stated lens is given."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]])
-
-
-def _by_camera(observations, state):
-    edges = np.searchsorted(observations.camera, np.arange(len(state.cameras) + 1))
-    for i, camera in enumerate(state.cameras):
-        if edges[i] < edges[i + 1]:
-            yield i, camera, slice(edges[i], edges[i + 1])
-
-
-def _points(observations, state):
-    """(n, 3) m, the observed points in the base frame."""
-    points = observations.points.copy()
-    on = observations.on_platform
-    matrix = state.platform.as_matrix()[observations.frame[on]]
-    points[on] = (matrix[:, :3, :3] @ points[on][..., None])[..., 0] + matrix[:, :3, 3]
-    return points
-
-
-def _in_camera(points, frame, state, i):
-    if i in state.moving:
-        matrix = state.moving[i].inv().as_matrix()[frame]
-        return (matrix[:, :3, :3] @ points[..., None])[..., 0] + matrix[:, :3, 3]
-    return transform_points(state.cameras[i].pose.inv(), points)
 
 
 def _layout(observations, state, free):
@@ -202,13 +160,13 @@ def _mark_used(used, observations, layout):
 
 def _linearise(observations, state, layout, whitener):
     """Whitened residuals (n, 2) and Jacobian {camera: (rows, 2, local + 6 + lens)} in scaled units."""
-    base = _points(observations, state)
+    base = base_points(observations, state)
     R_platform = state.platform.rotation.as_matrix()
     residual, jacobians = np.empty((len(observations), 2)), {}
-    for i, camera, rows in _by_camera(observations, state):
+    for i, camera, rows in by_camera(observations, state):
         frame, on = observations.frame[rows], observations.on_platform[rows]
         moving = i in state.moving
-        ahead = _in_camera(base[rows], frame, state, i)
+        ahead = in_camera(base[rows], frame, state, i)
         uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
         residual[rows] = (whitener[rows] @ (observations.uv[rows] - uv)[..., None])[..., 0]
         J_point = whitener[rows] @ J_point

@@ -8,13 +8,10 @@ import cv2
 import numpy as np
 
 from rig.errors import FileError
-from rig.pose import transform_points
 from rig.recording import Corners
-from vision import lens
 from vision.detect import detect, grey, place
+from vision.predict import expected
 
-STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
-INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
 FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
 
 
@@ -89,21 +86,6 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
         found.append((frame, camera.name, d, near))
     extra = _corners([(frame, name, d) for frame, name, d, _ in found], [near for *_, near in found])
     return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise)
-
-
-def expected(camera, T_base_platform, marker_map):
-    """Marker rows (k,) that a camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
-    points = marker_map.corners.copy()
-    on = marker_map.on_platform
-    points[on] = transform_points(T_base_platform, points[on].reshape(-1, 3)).reshape(-1, 4, 3)
-    ahead = transform_points(camera.pose.inv(), points.reshape(-1, 3)).reshape(-1, 4, 3)
-    out = np.cross(ahead[:, 3] - ahead[:, 0], ahead[:, 1] - ahead[:, 0])
-    centre = ahead.mean(axis=1)
-    cosine = -np.einsum("mi,mi->m", out, centre) / np.linalg.norm(out, axis=1) / np.linalg.norm(centre, axis=1)
-    rows = np.flatnonzero((cosine > STEEPEST) & (ahead[..., 2] > 1e-3).all(axis=1))
-    uv = lens.project(ahead[rows], camera.matrix, camera.distortion)
-    inside = ((uv > INSIDE) & (uv < np.array([camera.width, camera.height]) - 1 - INSIDE)).all(axis=(1, 2))
-    return rows[inside], uv[inside]
 
 
 def _in_parallel(one, work, progress):

@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 
 from vision import lens, square
+from vision.targets import marker_cells
 
 FIRST_BLUR = 0.8  # px
 ITERATIONS = 25
 SMALLEST_CELL = 2.5  # px across, below which cells run together
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
 MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
+COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
 _REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
@@ -62,14 +64,6 @@ def _detector(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-@lru_cache(maxsize=None)
-def _cells(name, number):
-    """(n + 4, n + 4) cells of a marker, 1 white, with its black border and a ring of white."""
-    dictionary = _detector(name).getDictionary()
-    bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
-    return np.pad(bits, 1, constant_values=True).astype(np.float64)
-
-
 def detect(image, camera, marker_map):
     """All markers of a rig in one image.
 
@@ -98,10 +92,10 @@ def place(full, camera, marker_map, numbers, guess, left_out=()):
     guess = np.asarray(guess, float)
     rows = marker_map.rows(np.array(numbers, int)) if len(numbers) else np.zeros(0, int)
     out, kept, left_out = [], [], list(left_out)
-    for bits in sorted({len(_cells(marker_map.dictionary[row], numbers[i])) for i, row in enumerate(rows)}):
-        index = [i for i, row in enumerate(rows) if len(_cells(marker_map.dictionary[row], numbers[i])) == bits]
+    for bits in sorted({len(marker_cells(marker_map.dictionary[row], numbers[i])) for i, row in enumerate(rows)}):
+        index = [i for i, row in enumerate(rows) if len(marker_cells(marker_map.dictionary[row], numbers[i])) == bits]
         n = bits - 4
-        cells = np.array([_cells(marker_map.dictionary[rows[i]], numbers[i]) for i in index])
+        cells = np.array([marker_cells(marker_map.dictionary[rows[i]], numbers[i]) for i in index])
         margin = np.array([marker_map.margin[rows[i]] / marker_map.side[rows[i]] * (n + 2) for i in index])
         for i, result in zip(index, _fit(full, camera, guess[index], cells, n, margin)):
             if isinstance(result, str):
@@ -144,9 +138,11 @@ def _judge(k, camera, quads, sides, centres, focal, goal, G, blur, results, cova
         return f"too small: a cell is {cell:.1f} px"
     if status[k] != square.OK:
         return _REASONS[status[k]]
-    noise, contrast = results[k, 0], results[k, 1]
+    noise, contrast, doubted = results[k, :2].tolist() + [results[k, 3]]
     if contrast < LEAST_CONTRAST * noise:
         return f"contrast {contrast:.0f} is lost in noise {noise:.1f}" if noise < MISFIT * 255 else "covered or not this marker"
+    if doubted > COVERED:
+        return f"covered or not this marker: {doubted:.0%} of its pixels do not fit"
     if noise > MISFIT * contrast:
         return f"covered or not this marker: the fit leaves {noise / contrast:.0%} of the contrast"
     local, to_homography = _corners(G[k], goal)

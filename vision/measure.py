@@ -7,9 +7,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.errors import NotEnoughData
-from vision.adjust import Adjustment, State, adjust, predict
+from vision.adjust import Adjustment, adjust
 from vision.locate import View, locate, undistorted
 from vision.observations import Observations
+from vision.predict import State, predict
 
 GATE = 5.0  # standard deviations; a corner beyond is an outlier (3 in a million of honest ones are)
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted

@@ -15,7 +15,8 @@ from numba import njit
 UNKNOWNS = 15
 REACH = 3.2  # blur widths on either side of an edge that are looked at
 CLEAR = 2.5  # blur widths kept clear of whatever lies beyond the white margin
-HUBER = 3.5  # standard deviations from which a pixel counts less
+TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
+FINEST = 0.2  # grey levels; a robust scale below this is rounding
 STEPS = 2048
 SPAN = 8.0  # the tabulated normal reaches from -SPAN/2 to SPAN/2
 _grid = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
@@ -107,11 +108,15 @@ def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, itera
     lenses : (m, 2, 10) cubic polynomials from local pixel to local ideal coordinates; centres : (m, 3) x, y, scale px
     cells : (m, n + 4, n + 4) 1 white, 0 black; margins : (m,) white margin in cells
     G : (m, 3, 3) homography, local ideal to cell coordinates, first guess in, answer out; blur : (m,) px, likewise
-    results : (m, 6) out: noise (grey), contrast, pixels, black, white, steps taken
+    results : (m, 6) out: noise (grey), contrast, pixels, share of them that count less, black, steps taken
     covariances : (m, 15, 15) out, unknowns 0..7 the homography's, 8 the blur's; status : (m,) out
     """
     p = np.empty(4)
     J = np.empty(UNKNOWNS)
+    largest = 0
+    for m in range(len(boxes)):
+        largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
+    absolute = np.empty(largest)
     for m in range(len(boxes)):
         x0, y0, x1, y1 = boxes[m]
         cx, cy, scale = centres[m]
@@ -120,14 +125,14 @@ def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, itera
         s = blur[m]
         light = np.zeros(6)
         have_light = False
-        noise = 1e9
+        scatter = 1e9  # robust standard deviation of the residuals
         status[m] = UNSETTLED
         half = (n + 2) / 2.0
         mid = n / 2.0
         for iteration in range(iterations):
             H = np.zeros((UNKNOWNS, UNKNOWNS))
             b = np.zeros(UNKNOWNS)
-            count, total, weights = 0, 0.0, 0.0
+            count, total, weights, doubted = 0, 0.0, 0.0, 0
             # the lens's and the homography's slope in the middle give the blur's shape, updated pixel by pixel for perspective
             for y in range(y0, y1):
                 v = (y - cy) / scale
@@ -176,8 +181,11 @@ def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, itera
                         both = -(dX * X + dY * Y)
                         J[6], J[7] = both * xi, both * yi
                         J[8] = amplitude * p[3] / s
-                        weight = 1.0 if abs(r) < HUBER * noise else HUBER * noise / abs(r)
-                        first = 0
+                        weight, first = 1.0, 0
+                        if abs(r) > TRUSTED * scatter:
+                            weight = (TRUSTED * scatter / abs(r)) ** 3
+                            doubted += 1
+                        absolute[count] = abs(r)
                     else:
                         r, weight, first = grey, 1.0, 9
                     count += 1
@@ -214,6 +222,7 @@ def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, itera
                 status[m] = SINGULAR
                 break
             noise = math.sqrt(max(total / weights, 1e-12))
+            scatter = max(1.4826 * np.median(absolute[:count]), FINEST)
             ds = min(max(step[8], -0.3 * s), 0.3 * s)
             moved = 0.0
             for k in range(4):  # how far the step moves the square's corners, in cells
@@ -236,8 +245,8 @@ def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, itera
             for i in range(6):
                 light[i] += step[9 + i]
             results[m, 0], results[m, 1], results[m, 2] = noise, light[0] - light[3], count
-            results[m, 3], results[m, 4], results[m, 5] = light[3], light[0], iteration
-            if moved < 2e-4 and abs(ds) < 2e-3 * s and iteration > 2:
+            results[m, 3], results[m, 4], results[m, 5] = doubted / count, light[3], iteration
+            if moved < 2e-4 and abs(ds) < 2e-3 * s and iteration > 3:
                 covariances[m] = np.linalg.inv(H) * noise * noise * (weights / max(weights - UNKNOWNS, 1.0))
                 status[m] = OK
                 break

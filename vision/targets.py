@@ -1,7 +1,9 @@
 """Where every marker of a rig sits on its body: corners in the body's frame, from cubes and from listed markers."""
 
 from dataclasses import dataclass
+from functools import cache
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -67,3 +69,11 @@ def marker_map(design):
         T_body_marker=T, side=side, margin=np.array([marker.margin for marker, _ in rows]),
         corners=transform_points(T, side[:, None, None] * _SQUARE), dictionary=[target.dictionary for _, target in rows],
         target=[target.name for _, target in rows])
+
+
+@cache
+def marker_cells(name, number):
+    """(n + 4, n + 4) cells of a marker of a dictionary (OpenCV name), 1 white, with its black border and a ring of white."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127
+    return np.pad(bits, 1, constant_values=True).astype(np.float64)

@@ -1,0 +1,25 @@
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: setup demo test test-slow bench clean
+
+setup: .venv/.ready
+
+.venv/.ready: pyproject.toml .ci/setup
+	PYTHON=$(PYTHON) sh .ci/setup
+	touch $@
+
+demo: setup
+	sh .ci/demo
+
+test: setup
+	$(BIN)/python -m pytest -q
+
+test-slow: setup
+	$(BIN)/python -m pytest -q -m slow
+
+bench: setup
+	$(BIN)/python -m tests.bench
+
+clean:
+	rm -rf .venv out

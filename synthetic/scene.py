@@ -1,0 +1,188 @@
+"""The rig as meshes (trimesh): plates, struts, cubes and sheets with their markers, and something to stand in front of.
+
+Every part is a flat grey or a textured face; brightness comes from the lamps by Lambert's law, face by face, so that the
+renderer need only multiply. Textures hold a whole number of texels per cell, a power of two, so that every mipmap level keeps
+the cells' edges where they are.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import trimesh
+from scipy.spatial.transform import RigidTransform
+
+from rig.design import FACES
+from vision.targets import face_pose, marker_cells, markers
+
+TEXELS = 32  # per cell of a marker
+WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
+STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius
+PLATE = 0.012  # m thick
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One mesh of one grey.
+
+    body : "base", "platform", "strut 1 lower" .. "strut 6 upper", or "world"; mesh : trimesh in the body's frame, m
+    normal : (3,) of a flat part, for its lighting, or None for a round one; centre : (3,) m; albedo : 0..1
+    texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates
+    """
+
+    body: str
+    mesh: trimesh.Trimesh
+    normal: np.ndarray | None
+    centre: np.ndarray
+    albedo: float
+    texture: np.ndarray | None = None
+    uv: np.ndarray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """A point lamp at position (3,) m in the base frame; intensity : what a white face square to it at 1 m shines with."""
+
+    position: tuple[float, float, float]
+    intensity: float
+
+
+LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
+AMBIENT = 0.25
+
+
+def parts(design, background="plain", rng=None):
+    """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter."""
+    found = []
+    mechanism = design.mechanism
+    if mechanism.kind == "hexapod":
+        found += _plate("base", mechanism.base_joints, design) + _plate("platform", mechanism.platform_joints, design) + _struts(mechanism)
+    for target in design.targets:
+        found += _target(target)
+    return found + _surroundings(design, background, rng)
+
+
+def body_poses(mechanism, T_base_platform):
+    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks."""
+    poses = {"world": np.eye(4), "base": np.eye(4), "platform": T_base_platform.as_matrix()}
+    if mechanism.kind == "hexapod":
+        for i, (low, high) in enumerate(zip(mechanism.base_joints, T_base_platform.apply(mechanism.platform_joints))):
+            along = (high - low) / np.linalg.norm(high - low)
+            side = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])
+            side /= np.linalg.norm(side)
+            frame = np.eye(4)
+            frame[:3, :3] = np.stack([side, np.cross(along, side), along], axis=1)
+            for name, at, scale in (("lower", low, 0.55), ("upper", high, -0.55)):
+                matrix = frame.copy()
+                matrix[:3, 3] = at
+                matrix[:3, 2] *= scale * np.linalg.norm(high - low)
+                if scale < 0:
+                    matrix[:3, 1] *= -1  # keeps the handedness
+                poses[f"strut {i + 1} {name}"] = matrix
+    return poses
+
+
+def shade(part, matrix):
+    """Brightness 0..1 of a part in its body's pose (4, 4), albedo times what the lamps give."""
+    centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
+    light = AMBIENT
+    for lamp in LAMPS:
+        to_lamp = np.array(lamp.position) - centre
+        distance = np.linalg.norm(to_lamp)
+        facing = 0.5 if part.normal is None else max(0.0, float(matrix[:3, :3] @ part.normal @ to_lamp) / distance)
+        light += lamp.intensity * facing / distance**2
+    return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))
+
+
+def _plate(body, joints, design):
+    """A disc that carries the body's joints and cubes, just under its plane of joints."""
+    cubes = [np.linalg.norm(target.pose.translation[:2]) + 0.8 * target.edge for target in design.targets if target.body == body and target.edge]
+    radius = max([1.12 * np.linalg.norm(joints[:, :2], axis=1).max(), *cubes])
+    disc = trimesh.creation.cylinder(radius=radius, height=PLATE, sections=96)
+    disc.apply_translation([0, 0, joints[:, 2].mean() - PLATE / 2 - 0.002])
+    return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
+
+
+def _struts(hexapod):
+    radius = np.linalg.norm(hexapod.base_joints, axis=1).mean()
+    found = []
+    for i in range(6):
+        for name, width, grey in (("lower", STRUT_RADIUS, METAL), ("upper", ROD_RADIUS, 0.6)):
+            rod = trimesh.creation.cylinder(radius=width * radius / 2, height=1.0, sections=24)
+            rod.apply_translation([0, 0, 0.5])
+            found.append(Part(f"strut {i + 1} {name}", rod, None, np.array([0, 0, 0.5]), grey))
+    return found
+
+
+def _target(target):
+    if not target.listed:
+        ids = dict(target.faces)
+        found = []
+        for face in FACES:
+            pose = target.pose * face_pose(face, target.edge)
+            if face in ids:
+                found += marker_face(target.body, target.dictionary, ids[face], pose, target.marker, target.edge)
+            else:
+                found.append(_quad(target.body, pose, target.edge / 2, WHITE))
+        return found
+    return [part for marker in markers(target)
+            for part in marker_face(target.body, target.dictionary, marker.id, marker.pose, marker.side, marker.side + 2 * marker.margin)]
+
+
+def marker_face(body, dictionary, number, T_body_marker, side, size):
+    """Parts of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z out."""
+    cells = marker_cells(dictionary, number)
+    n = len(cells)  # the marker with one ring of white around it
+    texture = np.kron(np.where(cells > 0.5, 1.0, BLACK / WHITE), np.ones((TEXELS, TEXELS)))
+    half = side / (n - 2) * n / 2  # of the textured square
+    reach = min(half, size / 2)
+    span = reach / half / 2
+    uv = np.array([[0.5 - span, 0.5 + span], [0.5 + span, 0.5 + span], [0.5 + span, 0.5 - span], [0.5 - span, 0.5 - span]])
+    found = [_quad(body, T_body_marker, reach, WHITE, texture, uv)]
+    if size / 2 > reach + 1e-9:
+        found += _frame(body, T_body_marker, reach, size / 2)
+    return found
+
+
+def _quad(body, T, half, albedo, texture=None, uv=None):
+    corners = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    mesh = trimesh.Trimesh(T.apply(corners), [[0, 3, 2], [0, 2, 1]], process=False)
+    return Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, albedo, texture, uv)
+
+
+def _frame(body, T, inner, outer):
+    square = np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    vertices = T.apply(np.concatenate([inner * square, outer * square]))
+    faces = [f for i in range(4) for j in [(i + 1) % 4] for f in ([4 + i, i, j], [4 + i, j, 4 + j])]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    return [Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, WHITE)]
+
+
+def _surroundings(design, background, rng):
+    reach = 3.0 * max([0.5] + [np.linalg.norm(camera.pose.translation) for camera in design.cameras])
+    if background == "plain":
+        room = trimesh.creation.icosphere(subdivisions=3, radius=reach)
+        room.invert()
+        return [Part("world", room, None, np.zeros(3), 0.28)]
+    if background != "cluttered":
+        raise ValueError(f"background is 'plain' or 'cluttered', not {background!r}")
+    rng = np.random.default_rng(0) if rng is None else rng
+    found = []
+    for face in FACES:
+        pose = RigidTransform.from_translation([0, 0, 0]) * face_pose(face, 2 * reach)
+        quad = _quad("world", pose, reach, 0.9, clutter(rng), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]]))
+        quad.mesh.invert()
+        found.append(quad)
+    return found
+
+
+def clutter(rng, size=1024):
+    """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not believe."""
+    picture = cv2.GaussianBlur(rng.random((size, size)).astype(np.float32), (0, 0), 30)
+    picture = (picture - picture.min()) / np.ptp(picture) * 0.6
+    for _ in range(160):
+        x, y, w, h = rng.integers(0, size, 2).tolist() + rng.integers(6, 90, 2).tolist()
+        angle, grey = float(rng.uniform(0, 180)), float(rng.random())
+        box = cv2.boxPoints(((x, y), (w, h), angle)).astype(np.int32)
+        cv2.fillPoly(picture, [box], grey, cv2.LINE_AA)
+    return picture.astype(float)

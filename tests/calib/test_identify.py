@@ -1,0 +1,87 @@
+"""The 42: Jacobians, exactness without noise, z-scores with it, robustness, and refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.identify import identify, loop_jacobian, pose_jacobian
+from rig.errors import NotEnoughData
+from rig.mechanisms import hexapod
+from rig.pose import difference, exp
+from tests.calib.worlds import parameters, sampled
+from tests.numeric import jacobian
+
+
+def moved(mechanism, p):
+    return replace(mechanism, base_joints=mechanism.base_joints + p[:18].reshape(6, 3),
+                   platform_joints=mechanism.platform_joints + p[18:36].reshape(6, 3), strut_zeros=mechanism.strut_zeros + p[36:])
+
+
+def test_loop_jacobian_agrees_with_differences(design):
+    T = design.mechanism.home * exp(np.array([0.02, -0.03, 0.01, 0.1, -0.05, 0.2]))
+    numeric = jacobian(lambda p: -hexapod.inverse(T, moved(design.mechanism, p)), np.zeros(42))
+    np.testing.assert_allclose(loop_jacobian(T, design.mechanism), numeric, atol=1e-8)
+
+
+def test_pose_jacobian_agrees_with_differences(design):
+    lengths = hexapod.inverse(design.mechanism.home, design.mechanism) + np.array([0.01, -0.01, 0.02, 0, 0.005, -0.02])
+    T = hexapod.forward(lengths, design.mechanism)
+    numeric = jacobian(lambda p: difference(T, hexapod.forward(lengths, moved(design.mechanism, p))), np.zeros(42), 1e-5)
+    np.testing.assert_allclose(pose_jacobian(T, design.mechanism), numeric, rtol=1e-5, atol=1e-5)
+
+
+def test_without_noise_the_machine_is_found(design):
+    samples, true = sampled(design, 1, noisy=False)
+    tight = replace(samples, covariance=samples.covariance * 1e-6, common=samples.common * 0)
+    found = identify(tight, design.mechanism)
+    np.testing.assert_allclose(parameters(found.hexapod), parameters(true), atol=2e-8)
+
+
+def test_parameters_scatter_as_claimed(design):
+    z, chi2 = [], []
+    for seed in range(40):
+        samples, true = sampled(design, seed, count=60)
+        found = identify(samples, design.mechanism)
+        error = parameters(found.hexapod) - parameters(true)
+        z.append(error / np.sqrt(np.diag(found.covariance)))
+        chi2.append(error @ np.linalg.solve(found.covariance, error))
+    assert np.mean(chi2) == pytest.approx(42, rel=0.1)
+    assert np.std(z) == pytest.approx(1, abs=0.06) and np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(40)
+
+
+def test_strut_lengths_steady_the_shared_errors(design):
+    """Taking the shared error for what it is, one draw, beats taking it for noise of every pose."""
+    better = []
+    for seed in range(10):
+        samples, true = sampled(design, seed, count=200)
+        pooled = replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0])
+        errors = [np.linalg.norm(parameters(identify(s, design.mechanism).hexapod) - parameters(true)) for s in (samples, pooled)]
+        better.append(errors[0] < 1.05 * errors[1])
+    assert np.mean(better) > 0.5
+
+
+def test_a_pose_that_is_wrong_is_left_out(design):
+    samples, true = sampled(design, 3)
+    T = samples.T_base_platform.as_matrix().copy()
+    T[17, :3, 3] += [2e-3, 0, 1e-3]
+    from scipy.spatial.transform import RigidTransform
+
+    found = identify(replace(samples, T_base_platform=RigidTransform.from_matrix(T)), design.mechanism)
+    assert np.flatnonzero(~found.inliers).tolist() == [17]
+    clean = identify(samples.take(np.arange(120) != 17), design.mechanism)
+    np.testing.assert_allclose(parameters(found.hexapod), parameters(clean.hexapod), atol=1e-7)
+
+
+def test_scatter_of_one_strut_is_told_from_the_poses_noise(design):
+    rng = np.random.default_rng(0)
+    samples, _ = sampled(design, 4, deviation=lambda c: np.array([0, 0, 5e-5, 0, 0, 0]) * rng.normal(size=c.shape))
+    found = identify(samples, design.mechanism)
+    assert np.flatnonzero(found.scatter).tolist() == [2] and found.scatter[2] == pytest.approx(5e-5, rel=0.25)
+    assert not identify(sampled(design, 4)[0], design.mechanism).scatter.any()
+
+
+def test_too_few_poses_are_refused(design):
+    samples, _ = sampled(design, 1)
+    with pytest.raises(NotEnoughData, match="6 poses cannot determine 42"):
+        identify(samples.take(np.arange(6)), design.mechanism)

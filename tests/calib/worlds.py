@@ -1,0 +1,53 @@
+"""Samples of secret machines, with noise of a known covariance, for tests of calibration."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.samples import Samples
+from rig import plan
+from rig.mechanisms import hexapod
+from rig.pose import difference, exp
+from synthetic import world
+
+OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
+COMMON = np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 2e-5])
+
+
+def sampled(design, seed, count=120, deviation=None, noisy=True):
+    """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their geometry."""
+    rng = np.random.default_rng(seed)
+    true = world.draw(design, rng).true.mechanism
+    commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
+    effective = commands if deviation is None else commands + deviation(commands)
+    T = hexapod.forward(effective, true)
+    if noisy:
+        shared = COMMON * rng.normal(size=6)
+        T = T * exp(shared + OWN * rng.normal(size=(count, 6)))
+    samples = Samples(np.arange(count), np.arange(count) * 10.0, commands, T, np.tile(np.diag(OWN**2), (count, 1, 1)),
+                      np.tile(np.diag(COMMON), (count, 1, 1)))
+    return samples, true
+
+
+def real(commands, true, deviation=None):
+    """The pose a machine really takes."""
+    return hexapod.forward(commands if deviation is None else commands + deviation(commands), true)
+
+
+def workspace(design, count=300, seed=99):
+    """Wanted poses all over the workspace."""
+    lengths = plan.low_discrepancy(design.mechanism.strut_range, count, 0.85, seed)
+    return hexapod.forward(lengths, design.mechanism)
+
+
+def rms(errors):
+    """(position m, rotation rad) RMS of the errors' lengths."""
+    return np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()), np.sqrt((errors[:, 3:] ** 2).sum(axis=1).mean())
+
+
+def parameters(mechanism):
+    """(42,) joints and zeros in the order of calib.identify."""
+    return np.concatenate([mechanism.base_joints.ravel(), mechanism.platform_joints.ravel(), mechanism.strut_zeros])
+
+
+__all__ = ["sampled", "real", "workspace", "rms", "parameters", "difference", "replace"]

@@ -1,0 +1,51 @@
+"""Rigs and recordings that several tests use."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig import design_file, layout, plan
+from synthetic import simulate, world
+
+ROOT = Path(__file__).parents[1]
+BENCH = ROOT / "tests" / "data" / "bench"
+SHARED = ROOT.parent / "shared"
+
+
+@pytest.fixture
+def shared():
+    """The folder with the recordings that outside checks use; the test is skipped where it is absent."""
+    if not SHARED.is_dir():
+        pytest.skip("needs the shared recordings beside the project")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def rig_text():
+    return layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
+
+
+@pytest.fixture(scope="session")
+def design(rig_text, tmp_path_factory):
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    path.write_text(rig_text)
+    return design_file.load(path)
+
+
+def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0):
+    """A simulated recording at corner level in a folder, its World and its true poses."""
+    rng = np.random.default_rng(seed)
+    secret = world.draw(design, rng, size)
+    strokes = design.mechanism.strut_range
+    route = plan.settled(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
+    T = simulate.simulate(secret, route, folder, rng, rig_text, noise=noise)
+    return secret, T
+
+
+@pytest.fixture
+def recording_folder(tmp_path, design, rig_text):
+    """A sound recording of six frames that a test may spoil."""
+    folder = tmp_path / "rec"
+    make_recording(folder, design, rig_text, 3, count=6)
+    return folder

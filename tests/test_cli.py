@@ -1,0 +1,201 @@
+"""The commands as a user gives them, in a process of their own."""
+
+import json
+import os
+import pty
+import re
+import shutil
+import subprocess
+import sys
+import termios
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from rig import design_file, recording
+from rig.mechanisms import hexapod
+from rig.pose import difference
+from tests.conftest import BENCH, make_recording
+
+RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
+
+
+def run(*arguments, ok=True):
+    done = subprocess.run([*RIG, *map(str, arguments)], capture_output=True, text=True, timeout=300)
+    assert "Traceback" not in done.stderr, done.stderr
+    assert (done.returncode == 0) == ok, done.stdout + done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def worked(tmp_path_factory, design, rig_text):
+    """A fit and a check recording of one machine, measured, calibrated: what most commands start from."""
+    base = tmp_path_factory.mktemp("worked")
+    secret, _ = make_recording(base / "fit", design, rig_text, 7, count=60)
+    make_recording(base / "check", design, rig_text, 7, count=20)
+    run("measure", base / "fit", "--out", base / "measured")
+    run("calibrate", base / "fit", "--out", base / "calibration.json")
+    return base, secret
+
+
+class Links(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.outside = []
+
+    def handle_starttag(self, tag, attrs):
+        self.outside += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
+
+
+def test_measure_writes_what_the_contract_says(worked):
+    base, _ = worked
+    out = base / "measured"
+    header = (out / "poses.csv").read_text().splitlines()[0].split(",")
+    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(recording.COVARIANCE_COLUMNS)
+    assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
+    nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
+    assert np.abs(difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4
+    again = recording.load(out)  # what was measured is itself a recording
+    assert again.poses.covariance.shape == (60, 6, 6)
+    page = (out / "report.html").read_text()
+    links = Links()
+    links.feed(page)
+    assert not links.outside and page.count("data:image/png") >= 3 and "http" not in page.replace("data:image", "")
+
+
+def test_the_recording_stays_as_it_was(worked, tmp_path, design, rig_text):
+    folder = tmp_path / "rec"
+    make_recording(folder, design, rig_text, 1, count=10)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    run("measure", folder, "--out", tmp_path / "out")
+    done = run("measure", folder, "--out", folder, ok=False)
+    assert "stays as it was" in done.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_calibration_corrects_the_true_machine(worked, tmp_path):
+    base, secret = worked
+    wanted = hexapod.forward(secret.stated.mechanism.strut_range.mean(axis=1) + 0.02 * np.random.default_rng(0).uniform(-1, 1, (30, 6)),
+                             secret.stated.mechanism)
+    recording.write_poses(tmp_path / "wanted.csv", recording.Poses(np.arange(30) * 2, wanted, None))
+    run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
+    lines = (tmp_path / "commands.csv").read_text().splitlines()
+    assert lines[0] == "frame,l1,l2,l3,l4,l5,l6" and [int(line.split(",")[0]) for line in lines[1:]] == list(range(0, 60, 2))
+    commands = np.array([line.split(",")[1:] for line in lines[1:]], float)
+    after = difference(wanted, hexapod.forward(commands, secret.true.mechanism))
+    before = difference(wanted, hexapod.forward(hexapod.inverse(wanted, secret.stated.mechanism), secret.true.mechanism))
+    assert np.linalg.norm(before[:, :3], axis=1).mean() > 30 * np.linalg.norm(after[:, :3], axis=1).mean()
+
+
+def test_calibration_says_where_it_comes_from(worked):
+    tree = json.loads((worked[0] / "calibration.json").read_text())
+    origin = tree["provenance"]
+    assert set(origin["inputs_sha256"]) == {"rig.toml", "commands.csv", "frames.csv", "corners.csv"}
+    assert origin["seed"] == 0 and "numpy" in origin["versions"] and origin["arguments"][0] == "calibrate"
+    assert tree["held_out"]["after"]["n"] == 60 and (worked[0] / "calibration.html").exists()
+
+
+def test_same_input_same_output(worked, tmp_path):
+    base, _ = worked
+    run("calibrate", base / "fit", "--out", tmp_path / "again.json")
+    first, again = (json.loads(path.read_text()) for path in (base / "calibration.json", tmp_path / "again.json"))
+    for tree in (first, again):
+        del tree["provenance"]
+    assert first == again
+
+
+def test_verify_reports_held_out_figures(worked):
+    base, _ = worked
+    tree = json.loads(run("verify", base / "calibration.json", base / "check", "--json").stdout)
+    assert tree["n"] == 20 and tree["held_out"] is True
+    assert tree["before"]["position"]["rms"] > 15 * tree["after"]["position"]["rms"]
+    assert tree["after"]["position"]["rms"] <= tree["after"]["position"]["max"] and "p95" in tree["after"]["rotation"]
+    text = run("verify", base / "calibration.json", base / "check").stdout
+    assert "N = 20" in text and re.search(r"corrected\s+0\.0", text)
+    same = run("verify", base / "calibration.json", base / "fit")
+    assert "not held out" in same.stderr
+
+
+def test_calibrating_what_was_measured_gives_the_same(worked, tmp_path):
+    base, _ = worked
+    run("calibrate", base / "measured", "--out", tmp_path / "c.json")
+    one, two = (np.array(json.loads(path.read_text())["fitted"]["base_joints"]) for path in (base / "calibration.json", tmp_path / "c.json"))
+    np.testing.assert_allclose(one, two, atol=3e-6)
+
+
+def test_poses_from_outside_are_calibrated_too(worked, tmp_path):
+    base, secret = worked
+    folder = tmp_path / "tracker"
+    shutil.copytree(base / "measured", folder)
+    (folder / "corners.csv").unlink()
+    assert "poses.csv" in run("calibrate", folder, "--out", tmp_path / "c.json").stdout
+
+
+def test_images_go_all_the_way(tmp_path):
+    run("calibrate", BENCH / "fit", "--out", tmp_path / "c.json")
+    tree = json.loads(run("verify", tmp_path / "c.json", BENCH / "check", "--json").stdout)
+    assert tree["n"] == 6 and tree["ratio"]["position"] > 10
+    assert any("images" in name for name in json.loads((tmp_path / "c.json").read_text())["provenance"]["inputs_sha256"])
+
+
+def test_unreachable_poses_are_listed_and_nothing_is_written(worked, tmp_path):
+    base, _ = worked
+    (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n4,0,0,0.45,0,0,0\n5,0,0,0.75,0,0,0\n6,0.4,0,0.45,0,0,0\n")
+    arguments = ("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "commands.csv")
+    done = run(*arguments, ok=False)
+    assert "2 of 3 wanted poses cannot be reached" in done.stderr and "frame 5: strut 1" in done.stderr and "frame 6:" in done.stderr
+    assert not (tmp_path / "commands.csv").exists()
+    done = run(*arguments, "--skip-unreachable")
+    assert "left out, as asked" in done.stderr
+    assert [line.split(",")[0] for line in (tmp_path / "commands.csv").read_text().splitlines()] == ["frame", "4"]
+
+
+@pytest.mark.parametrize("arguments, says", [
+    (("measure", "nowhere", "--out", "x"), "no such folder"),
+    (("calibrate", "nowhere", "--out", "x.json"), "no such folder"),
+    (("correct", "nowhere.json", "--poses", "p.csv", "--out", "c.csv"), "no such file"),
+    (("verify", "nowhere.json", "nowhere"), "no such file"),
+])
+def test_a_typo_in_a_path_is_said_in_one_line(arguments, says):
+    done = run(*arguments, ok=False)
+    assert says in done.stderr and done.stderr.count("\n") == 1 and done.returncode == 1
+
+
+def test_more_that_goes_wrong(worked, tmp_path):
+    base, _ = worked
+    (tmp_path / "empty").mkdir()
+    assert "empty folder" in run("measure", tmp_path / "empty", "--out", tmp_path / "o", ok=False).stderr
+    assert not (tmp_path / "o").exists()
+    assert "'lens'" in run("measure", base / "fit", "--out", tmp_path / "o", "--hold", "lens", ok=False).stderr
+    assert "make it first" in run("calibrate", base / "fit", "--out", tmp_path / "no/c.json", ok=False).stderr
+    assert "is a folder" in run("calibrate", base / "fit", "--out", tmp_path, ok=False).stderr
+    (tmp_path / "half.json").write_text((base / "calibration.json").read_text()[:5000])
+    assert "cut off" in run("verify", tmp_path / "half.json", base / "check", ok=False).stderr
+    still = tmp_path / "still"
+    shutil.copytree(base / "check", still)
+    (still / "commands.csv").unlink()
+    assert "no commands.csv" in run("calibrate", still, "--out", tmp_path / "c.json", ok=False).stderr
+
+
+def test_held_cameras_stay(worked, tmp_path):
+    base, _ = worked
+    run("measure", base / "measured", "--out", tmp_path / "o", "--hold", "poses,lenses")
+    one, two = design_file.load(base / "measured" / "rig.toml"), design_file.load(tmp_path / "o" / "rig.toml")
+    assert np.abs(difference(one.cameras[0].pose, two.cameras[0].pose)).max() < 1e-9
+
+
+def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
+    assert "%" not in run("measure", BENCH / "check", "--out", tmp_path / "o").stderr
+    main, other = pty.openpty()
+    termios.tcsetwinsize(other, (24, 80))
+    process = subprocess.Popen([*RIG, "measure", str(BENCH / "check"), "--out", str(tmp_path / "p")], stderr=other, stdout=subprocess.DEVNULL)
+    os.close(other)
+    seen = b""
+    try:
+        while chunk := os.read(main, 65536):
+            seen += chunk
+    except OSError:
+        pass  # the terminal closed: all has been read
+    assert process.wait(timeout=60) == 0
+    assert b"reading images" in seen and b"%" in seen

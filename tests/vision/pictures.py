@@ -1,0 +1,47 @@
+"""Exact pictures of markers by brute force: many samples to the pixel, no renderer and no code of ours in between."""
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from rig.design import Camera
+from rig.pose import pose
+from vision.targets import marker_cells
+
+SIZE = 180
+
+
+def camera(distortion=(0.0, 0, 0, 0, 0), size=SIZE):
+    """A camera whose image is just large enough for one marker."""
+    return Camera("c", size, size, [[900.0, 0, size / 2], [0, 900, size / 2], [0, 0, 1]], np.array(distortion), pose([0, 0, 0], [0, 0, 0]))
+
+
+def picture(corners, dictionary, number, blur=0.6, white=190.0, black=20.0, beyond=70.0, margin=0.9, samples=12, size=SIZE):
+    """(size, size) float grey picture of a flat marker with corners (4, 2) px, no lens; margin : cells of white around it."""
+    cells = marker_cells(dictionary, number)
+    n = len(cells) - 4
+    square = np.array([[-1, -1], [n + 1, -1], [n + 1, n + 1], [-1, n + 1]], np.float32)
+    H = cv2.getPerspectiveTransform((corners - corners[0]).astype(np.float32), square).astype(float)
+    A = np.zeros((8, 8))
+    for i, ((x, y), (X, Y)) in enumerate(zip(corners, square)):  # in double precision
+        A[2 * i], A[2 * i + 1] = (x, y, 1, 0, 0, 0, -X * x, -X * y), (0, 0, 0, x, y, 1, -Y * x, -Y * y)
+    H = np.append(np.linalg.solve(A, square.astype(float).ravel()), 1).reshape(3, 3)
+    grid = (np.arange(size * samples) + 0.5) / samples - 0.5
+    u, v = np.meshgrid(grid, grid)
+    w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
+    X, Y = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w, (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
+    paper = (-1 - margin < X) & (n + 1 + margin > X) & (-1 - margin < Y) & (n + 1 + margin > Y) & (w > 0)
+    lookup = cells[np.clip(np.floor(Y).astype(int) + 2, 0, n + 3), np.clip(np.floor(X).astype(int) + 2, 0, n + 3)]
+    grey = np.where(paper, black + (white - black) * lookup, beyond)
+    return gaussian_filter(grey, blur * samples, truncate=6).reshape(size, samples, size, samples).mean(axis=(1, 3))
+
+
+def quad(rng, side=55.0, tilt=0.0, size=SIZE):
+    """(4, 2) px corners of a marker of about that side, turned at random and foreshortened by tilt (rad)."""
+    turn, axis = rng.uniform(0, 2 * np.pi, 2)
+    spin = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    along = np.array([[np.cos(axis), -np.sin(axis)], [np.sin(axis), np.cos(axis)]])
+    squash = along @ np.diag([1, np.cos(tilt)]) @ along.T
+    corners = side / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]]) @ spin.T @ squash.T
+    depth = 1 + 0.1 * np.sin(tilt) * (corners @ along[:, 1]) / side
+    return corners / depth[:, None] + size / 2 + rng.uniform(-0.5, 0.5, 2)

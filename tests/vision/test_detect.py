@@ -1,0 +1,147 @@
+"""Corners: exact on exact pictures, honest about noise, robust to what covers them, and a reason where there are none."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from rig.design import DICTIONARIES, Marker, Target
+from rig.pose import pose
+from vision import lens
+from vision.detect import detect, place
+from vision.targets import marker_map
+from tests.vision.pictures import SIZE, camera, picture, quad
+
+NAME = "DICT_5X5_100"
+
+
+def sheet(design, dictionary=NAME, ids=range(30), margin=0.9):
+    """A marker map of loose sheets of one dictionary."""
+    cells = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)).markerSize + 2
+    listed = tuple(Marker(i, 1.0, pose([0, 0, 0], [0, 0, 0]), margin / cells) for i in ids)
+    return marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
+
+
+def test_noise_free_corners_are_exact(design):
+    rng = np.random.default_rng(0)
+    markers, errors, outward = sheet(design), [], []
+    for k in range(24):
+        corners = quad(rng, side=rng.uniform(40, 70), tilt=rng.uniform(0, 1.1))
+        found = place(picture(corners, NAME, k).astype(np.float32), camera(), markers, [k], (corners + rng.normal(0, 0.5, (4, 2)))[None])
+        error = found.corners[0] - corners
+        spoke = corners - corners.mean(axis=0)
+        errors.append(error)
+        outward.append((error * spoke / np.linalg.norm(spoke, axis=1)[:, None]).sum(axis=1))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.003
+    assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.001 and abs(np.mean(outward)) < 0.001
+
+
+def test_covariance_is_the_scatter(design):
+    rng = np.random.default_rng(1)
+    markers, chi2 = sheet(design), []
+    for k in range(4):
+        corners = quad(rng, tilt=0.6)
+        clean = picture(corners, NAME, k)
+        for _ in range(60):
+            noisy = (clean + rng.normal(0, 2.5, clean.shape)).astype(np.float32)
+            found = place(noisy, camera(), markers, [k], corners[None])
+            e = (found.corners[0] - corners).ravel()
+            chi2.append(e @ np.linalg.solve(found.covariance[0], e))
+            assert found.noise[0] == pytest.approx(2.5, rel=0.15)
+    assert np.mean(chi2) == pytest.approx(8, rel=0.1)
+
+
+def test_edges_bend_with_the_lens(design):
+    """A strong lens curves the edges of a marker; corners stay where the lens puts them."""
+    bent = camera(distortion=(-0.6, 0, 0, 0, 0))
+    corners = quad(np.random.default_rng(2), side=100, tilt=0.3)
+    flat = picture(corners, NAME, 3, blur=0.8)
+    grid = np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE)), axis=-1).astype(float)
+    ideal = lens.undistort(grid, bent.matrix, bent.distortion) * 900 + SIZE / 2
+    image = map_coordinates(flat, [ideal[..., 1], ideal[..., 0]], order=3, mode="nearest").astype(np.float32)  # cv2.remap rounds to 1/32 px
+    expected = lens.project(np.concatenate([(corners - SIZE / 2) / 900, np.ones((4, 1))], axis=1), bent.matrix, bent.distortion)
+    found = place(image, bent, sheet(design), [3], expected[None])
+    np.testing.assert_allclose(found.corners[0], expected, atol=0.006)
+    straight = place(image, camera(), sheet(design), [3], expected[None])
+    assert np.abs(straight.corners[0] - expected).max() > 0.03  # what ignoring the lens would cost
+
+
+@pytest.mark.parametrize("dictionary", ["DICT_4X4_50", "DICT_5X5_1000", "DICT_6X6_250", "DICT_7X7_50", "DICT_ARUCO_ORIGINAL", "DICT_ARUCO_MIP_36h12",
+                                        "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"])
+def test_every_family_is_read(design, dictionary):
+    assert dictionary in DICTIONARIES
+    corners = quad(np.random.default_rng(3), side=80, tilt=0.4)
+    image = np.clip(picture(corners, dictionary, 7) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE)), 0, 255).astype(np.uint8)
+    found = detect(image, camera(), sheet(design, dictionary, range(8)))
+    assert found.marker.tolist() == [7]
+    np.testing.assert_allclose(found.corners[0], corners, atol=0.05)
+
+
+def test_what_covers_a_marker_does_not_pull_it(design):
+    corners = quad(np.random.default_rng(4), side=70, tilt=0.2)
+    image = picture(corners, NAME, 5).astype(np.float32)
+    middle = (corners[1] + corners[2]) / 2
+    cv2.circle(image, tuple(int(v) for v in middle), 7, 140.0, -1)
+    found = place(image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32), camera(), sheet(design), [5], corners[None])
+    np.testing.assert_allclose(found.corners[0], corners, atol=0.06)
+    image[:, : SIZE // 2] = 100
+    gone = place(image, camera(), sheet(design), [5], corners[None])
+    assert not len(gone.marker) and gone.left_out[0][0] == 5
+
+
+@pytest.mark.parametrize("spoil, says", [
+    (lambda image: image * 0 + 90, "white is no brighter|contrast|pixels|settle|determined|lost"),
+    (lambda image: 210 - image, "white is no brighter"),
+    (lambda image: np.random.default_rng(0).normal(100, 60, image.shape), "lost in noise|not this marker|settle|brighter|turned|left the place"),
+])
+def test_what_is_no_marker_gets_a_reason(design, spoil, says):
+    import re
+
+    corners = quad(np.random.default_rng(5))
+    found = place(spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), [1], corners[None])
+    assert not len(found.marker) and re.search(says, found.left_out[0][1]), found.left_out
+
+
+def test_another_marker_is_not_taken_for_it(design):
+    corners = quad(np.random.default_rng(6))
+    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), [2], corners[None])
+    assert not len(found.marker)
+
+
+def test_a_marker_too_small_is_left_out_with_its_size(design):
+    corners = quad(np.random.default_rng(7), side=14)
+    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), [1], corners[None])
+    assert not len(found.marker) and "too small" in found.left_out[0][1]
+
+
+def test_an_identity_seen_twice_is_not_averaged(design):
+    rng = np.random.default_rng(8)
+    one, two = (picture(quad(rng, side=60), NAME, 4) for _ in range(2))
+    wide = camera(size=2 * SIZE)
+    image = np.full((2 * SIZE, 2 * SIZE), 70.0)
+    image[:SIZE, :SIZE], image[SIZE:, SIZE:] = one, two
+    found = detect(image.astype(np.uint8), wide, sheet(design))
+    assert not len(found.marker) and found.left_out == ((4, "seen 2 times in one image"),)
+
+
+@pytest.mark.parametrize("form", ["colour", "16 bit", "alpha", "12 in 16 bit"])
+def test_every_kind_of_image_is_read(design, form):
+    corners = quad(np.random.default_rng(9), side=70)
+    clean = picture(corners, NAME, 6)
+    image = {"colour": np.repeat(clean[..., None], 3, axis=2).astype(np.uint8), "alpha": np.repeat(clean[..., None], 4, axis=2).astype(np.uint8),
+             "16 bit": (clean * 257).astype(np.uint16), "12 in 16 bit": (clean * 16).astype(np.uint16)}[form]
+    found = detect(image, camera(), sheet(design))
+    assert found.marker.tolist() == [6]
+    np.testing.assert_allclose(found.corners[0], corners, atol=0.03)
+
+
+def test_a_kind_of_image_that_is_none_is_refused(design):
+    with pytest.raises(ValueError, match="8 or 16 bit"):
+        detect(np.zeros((10, 10), np.float32), camera(), sheet(design))
+
+
+def test_an_empty_image_shows_nothing(design):
+    found = detect(np.full((SIZE, SIZE), 80, np.uint8), camera(), sheet(design))
+    assert found.corners.shape == (0, 4, 2) and found.covariance.shape == (0, 8, 8)
