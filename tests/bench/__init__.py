@@ -1,0 +1,1 @@
+"""Benchmarks: what the project reaches, figure by figure, with the command `make bench`."""
