@@ -64,7 +64,8 @@ def measurement_page(path, recording, measurement, collected):
     if m.unsolved:
         parts += ["<h2>Frames without a pose</h2>", table(("frame", "reason"), sorted(m.unsolved.items()))]
     if collected is not None and collected.left_out:
-        parts += ["<h2>Markers read but not placed</h2>", table(("frame", "camera", "marker", "reason"), collected.left_out[:200])]
+        parts += [f"<h2>Markers read but not placed</h2><details><summary>{len(collected.left_out)} of them</summary>",
+                  table(("frame", "camera", "marker", "reason"), collected.left_out), "</details>"]
     page(path, f"Measurement of {recording.folder.resolve().name}", parts)
 
 
@@ -110,9 +111,9 @@ def _uncertainty(m, position, rotation):
     figure = Figure(figsize=(11, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.plot(m.frames, position * 1e6, ".", ms=4)
-    left.set(xlabel="frame", ylabel="position, um", ylim=(0, None))
+    left.set(xlabel="frame", ylabel="position, um", ylim=(0, 1.1e6 * position.max()))
     right.plot(m.frames, rotation * 1e6, ".", ms=4, color="tab:orange")
-    right.set(xlabel="frame", ylabel="rotation, urad", ylim=(0, None))
+    right.set(xlabel="frame", ylabel="rotation, urad", ylim=(0, 1.1e6 * rotation.max()))
     return figure
 
 
@@ -154,8 +155,8 @@ def calibration_page(path, recording, calibration, samples, found):
              "times that.</p>",
              table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _before_after(correction, samples),
-             "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Line: the correction at "
-             "the same configurations.</p>", _corrections(correction, samples),
+             "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
+             "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
              _coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
              "<h2>Where this came from</h2>", table(("what", "value"), _flat(calibration.provenance))]
