@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.correction import calibrate
+from calib.identify import pose_jacobian
 from calib.samples import blocks
 from rig import mechanisms
 from rig.pose import difference
@@ -53,10 +54,24 @@ def compare(errors_before, errors_after, covariance, rng):
     squares = [(e[:, :3] ** 2).sum(axis=1) for e in (errors_before, errors_after)]
     picks = rng.integers(len(errors_before), size=(DRAWS, len(errors_before)))
     draws = np.sqrt(squares[0][picks].mean(axis=1) / np.maximum(squares[1][picks].mean(axis=1), 1e-300))
-    floor = (float(np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean())),
-             float(np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2).mean())))
     low, high = np.quantile(draws, [0.025, 0.975])
-    return HeldOut(before, after, floor, (before.position[0] / max(after.position[0], 1e-300), float(low), float(high)))
+    return HeldOut(before, after, uncertainty(covariance), (before.position[0] / max(after.position[0], 1e-300), float(low), float(high)))
+
+
+def uncertainty(covariance):
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
+    return tuple(float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+
+
+def model_covariance(calibration, T_base_platform):
+    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters' and the struts' own scatter.
+
+    calibration : anything with correction, covariance (42, 42) and scatter (6,), as store.Calibration
+    """
+    fitted = calibration.correction.fitted
+    J = pose_jacobian(T_base_platform, fitted)
+    to_pose = np.linalg.inv(mechanisms.of(fitted).jacobian(T_base_platform, fitted))
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + to_pose @ np.diag(calibration.scatter**2) @ np.swapaxes(to_pose, 1, 2)
 
 
 def errors_of(correction, samples):

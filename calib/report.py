@@ -3,8 +3,6 @@
 import base64
 import html
 import io
-import os
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,6 +10,7 @@ from matplotlib.figure import Figure
 from calib.certificate import errors_of
 from rig import mechanisms
 from rig.pose import vector
+from rig.writing import write_text
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
@@ -24,10 +23,7 @@ def page(path, title, parts):
     body = "\n".join(_picture(part) if isinstance(part, Figure) else part for part in parts)
     text = (f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
             f"<h1>{html.escape(title)}</h1>\n{body}\n</html>\n")
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    write_text(path, text)
 
 
 def table(header, rows):
@@ -136,12 +132,8 @@ def _worst_markers(m):
         share = 1 - m.inliers[own].mean()
         if share > 0.05:
             rows.append((share, int(marker), int(own.sum())))
-    ids = _ids(m)
+    ids = m.ids()
     return [(ids[marker], count, f"{share:.0%}") for share, marker, count in sorted(rows, reverse=True)[:12]]
-
-
-def _ids(m):
-    return [number for target in m.design.targets for number in target.ids]
 
 
 def calibration_page(path, recording, calibration, samples, found):

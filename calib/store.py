@@ -17,6 +17,7 @@ from calib.interpolate.radial import Radial
 from rig.design import Hexapod
 from rig.errors import FileError
 from rig.pose import pose, vector
+from rig.writing import write_text
 
 SCHEMA = "calibration/1"
 UNITS = "m, rad, s; covariances in their products"
@@ -71,10 +72,7 @@ def save(path, calibration):
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": asdict(calibration.held_out), "provenance": calibration.provenance,
     }
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
 def load(path):

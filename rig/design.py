@@ -157,6 +157,27 @@ class Camera:
             raise ValueError(f"distortion: expected {DISTORTION_TERMS} terms, got {len(self.distortion)}")
 
 
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What an image sensor and its optics do to light, for a simulated camera; the defaults do nothing but quantise.
+
+    blur : px, standard deviation of the optics' spot; defocus : px, radius of a disc on top of it
+    vignetting : share of the light lost in the image's corners; gain : grey levels of 255 for a white face in full light
+    exposure : s; exposures : pictures averaged over it; read_noise : grey levels
+    electrons : per grey level, for shot noise (0: none); bits : 8 or 12
+    """
+
+    blur: float = 0.0
+    defocus: float = 0.0
+    vignetting: float = 0.0
+    gain: float = 230.0
+    exposure: float = 0.0
+    exposures: int = 1
+    read_noise: float = 0.0
+    electrons: float = 0.0
+    bits: int = 8
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
     """One square marker: id in its dictionary; side (m, outer side of the black border);
@@ -192,7 +213,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame."""
+    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras."""
 
     name: str
     gravity: np.ndarray
@@ -202,6 +223,7 @@ class Design:
     platform: Platform
     cameras: tuple[Camera, ...]
     targets: tuple[Target, ...]
+    sensor: Sensor = Sensor()
 
     def camera(self, name):
         """The camera of that name. Raises ValueError with the names there are."""

@@ -1,24 +1,21 @@
 """rig.toml -> Design: every value checked, every complaint with file, line and column; and cameras written back."""
 
-import difflib
 import re
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker, Planar2,
-                        Platform, Target)
+                        Platform, Sensor, Target)
 from rig.errors import FileError
-from rig.pose import pose, vector
+from rig.pose import vector
 from rig.toml_positions import positions
+from rig.toml_table import LARGEST_RIG, REQUIRED, TomlTable
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
-LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit
 LARGEST_MARKER = 5.0  # m
-REQUIRED = object()
 
 
 def load(path):
@@ -36,126 +33,19 @@ def load(path):
         where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
         raise FileError(path, f"not valid TOML: {str(error).split(' (at')[0]}", line, column) from None
-    return _design(_Table(tree, (), path, positions(text)))
-
-
-@dataclass
-class _Table:
-    """A TOML table that knows where it stands and complains about its values."""
-
-    tree: dict
-    path: tuple
-    file: Path
-    places: dict
-
-    def fail(self, message, *keys, value=None):
-        at = self.path + keys
-        while at not in self.places:
-            at = at[:-1]
-        raise FileError(self.file, message, *self.places[at], value=value)
-
-    def name(self, key):
-        return ".".join(str(part + 1 if isinstance(part, int) else part) for part in (*self.path, key))
-
-    def get(self, key, default=REQUIRED):
-        if key in self.tree:
-            return self.tree[key]
-        if default is REQUIRED:
-            near = difflib.get_close_matches(key, self.tree, n=1, cutoff=0.7)
-            hint = f"; is {near[0]!r} meant?" if near else ""
-            self.fail(f"{self.name(key)} is missing{hint}", *(near or ()))
-        return default
-
-    def table(self, key, optional=False):
-        value = self.get(key, {} if optional else REQUIRED)
-        if not isinstance(value, dict):
-            self.fail(f"{self.name(key)} must be a table, not {value!r}", key, value=value)
-        return _Table(value, self.path + (key,), self.file, self.places)
-
-    def tables(self, key):
-        value = self.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            self.fail(f"{self.name(key)} must be written as [[{key}]] tables", key, value=value)
-        return [_Table(item, self.path + (key, i), self.file, self.places) for i, item in enumerate(value)]
-
-    def text(self, key, choices=None, default=REQUIRED):
-        value = self.get(key, default)
-        if value is default and default is not REQUIRED:
-            return default
-        if not isinstance(value, str) or (not choices and not value):
-            self.fail(f"{self.name(key)} must be text, not {value!r}", key, value=value)
-        if choices and value not in choices:
-            self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {value!r}", key, value=value)
-        return value
-
-    def whole(self, key, least, default=REQUIRED):
-        value = self.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            self.fail(f"{self.name(key)} must be a whole number of at least {least}, not {value!r}", key, value=value)
-        return value
-
-    def number(self, key, default=REQUIRED, least=None, most=None, above=None, unit=""):
-        value = self.get(key, default)
-        if value is None:
-            return None
-        self._numbers(value, (), key, ())
-        if (least is not None and value < least) or (most is not None and value > most) or (above is not None and value <= above):
-            limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
-                      f"<= {most}" if most is not None else ""]
-            self.fail(f"{self.name(key)} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value}",
-                      key, value=value)
-        return float(value)
-
-    def array(self, key, shape, default=REQUIRED, length_limit=None):
-        """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit."""
-        value = self.get(key, default)
-        if value is None:
-            return None
-        self._numbers(value, shape, key, (), length_limit)
-        return np.array(value, float)
-
-    def _numbers(self, value, shape, key, index, length_limit=None):
-        label = self.name(key) + "".join(f"[{i + 1}]" for i in index)
-        if not shape:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                self.fail(f"{label} must be a number, not {value!r}", key, *index, value=value)
-            if not np.isfinite(value):
-                self.fail(f"{label} is not finite: {value}", key, *index, value=value)
-            if length_limit is not None and abs(value) > length_limit:
-                self.fail(f"{label} = {value} m is implausible (more than {length_limit:g} m): rig.toml is in metres; "
-                          f"is this in millimetres ({value / 1000:g} m)?", key, *index, value=value)
-            return
-        if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
-            got = f"{len(value)} entries" if isinstance(value, list) else repr(value)
-            self.fail(f"{label} must have {'x'.join('n' if n is None else str(n) for n in shape)} numbers, got {got}",
-                      key, *index, value=value)
-        for i, item in enumerate(value):
-            self._numbers(item, shape[1:], key, (*index, i), length_limit)
-
-    def pose(self, key):
-        inner = self.table(key)
-        position = inner.array("position", (3,), length_limit=LARGEST_RIG)
-        return pose(position, inner.array("rotvec", (3,)))
-
-    def refuse_misspelt(self, known):
-        """An unknown key one slip away from a known, absent one is a slip; other unknown keys are left alone."""
-        for key in self.tree:
-            if key not in known:
-                near = [k for k in difflib.get_close_matches(key, known, n=1, cutoff=0.8) if k not in self.tree]
-                if near:
-                    self.fail(f"unknown key {self.name(key)!r}; is {near[0]!r} meant?", key, value=key)
+    return _design(TomlTable(tree, (), path, positions(text)))
 
 
 def _design(root):
     root.text("schema", (SCHEMA,))
-    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target"))
+    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     return Design(
         name=root.text("name", default="rig"), gravity=gravity, mechanism=_mechanism(root.table("mechanism")),
         instrument=_instrument(root.table("instrument")) if "instrument" in root.tree else None,
         actuator=_actuator(root.table("actuator", optional=True)), platform=_platform(root.table("platform", optional=True)),
-        cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")))
+        cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)))
 
 
 def _mechanism(table):
@@ -170,7 +60,7 @@ def _mechanism(table):
             table.fail("mechanism.joints is empty", "joints")
         for i, row in enumerate(joints):
             for j in (1, 2):
-                table._numbers(float(row[j]), (), "joints", (i, j), LARGEST_RIG)
+                table.numbers(float(row[j]), (), "joints", (i, j), LARGEST_RIG)
         return Arm(joints, _ranges(table, "limits", len(joints), None))
     if kind == "planar2":
         return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG))
@@ -209,6 +99,18 @@ def _actuator(table):
 def _platform(table):
     return Platform(table.number("mass", None, least=0, unit="kg"),
                     table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
+
+
+def _sensor(table):
+    known = {"blur": (20, "px"), "defocus": (20, "px"), "vignetting": (1, ""), "gain": (1000, "grey levels"), "exposure": (10, "s"),
+             "read_noise": (100, "grey levels"), "electrons": (1e6, "")}
+    table.refuse_misspelt((*known, "exposures", "bits"))
+    values = {name: table.number(name, least=0, most=most, unit=unit) for name, (most, unit) in known.items() if name in table.tree}
+    if "exposures" in table.tree:
+        values["exposures"] = table.whole("exposures", 1)
+    if "bits" in table.tree and table.whole("bits", 8) not in (8, 12):
+        table.fail("sensor.bits must be 8 or 12", "bits")
+    return Sensor(**values, bits=table.get("bits", 8))
 
 
 def _cameras(tables):

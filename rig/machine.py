@@ -1,8 +1,91 @@
-"""Commands through time -> poses: the one forward model of motion."""
+"""Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis alike."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
+from rig.effects.base import Motion, Path
+from rig.errors import NotConverged
+from rig.pose import difference, exp
+
+MAX_ITERATIONS = 50
+TOLERANCE = 1e-12  # m; of the fixed point between a pose and what depends on it
+ABOUT = 0.02  # s; before and after an exposure, for its velocity
 
 
-def poses(mechanism, commands, t):
-    """T_base_platform : RigidTransform (n,) of a mechanism at times t (n,) s under Commands. Raises what `forward` raises."""
-    return mechanisms.of(mechanism).forward(commands.at(t), mechanism)
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What a machine did at n exposures.
+
+    T_base_platform : RigidTransform (n,); deviation : (n, axes) m the struts were longer than commanded
+    rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
+    """
+
+    T_base_platform: RigidTransform
+    deviation: np.ndarray
+    rate: np.ndarray | None = None
+    curvature: np.ndarray | None = None
+
+
+def motion(design, commands, t, effects=(), sensors=None):
+    """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
+
+    commands : Commands; effects : Effects; sensors : Sensors or None
+    """
+    t = np.asarray(t, float)
+    for effect in effects:
+        t = effect.times(t)
+    knots = np.union1d(commands.t, t)
+    lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
+    path = Path(knots, lengths, np.searchsorted(knots, t))
+    for effect in effects:
+        path = effect.follow(path)
+    m = design.mechanism
+    home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
+    return Motion(m, design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
+
+
+def run(design, commands, t, effects=(), sensors=None, rates=False):
+    """Run of a machine under commands, with effects.
+
+    design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting together
+    sensors : Sensors with the channels that some effects need; rates : whether velocities are wanted too
+    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none, and what
+    `forward` raises.
+    """
+    if rates:
+        return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
+    state = motion(design, commands, t, effects, sensors)
+    module, m = mechanisms.of(design.mechanism), design.mechanism
+    fixed = sum((e.deviation(state) for e in effects if not e.on_pose), np.zeros(state.lengths.shape))
+    T = module.forward(state.lengths + fixed, m)
+    deviation = fixed
+    bound = [effect for effect in effects if effect.on_pose]
+    for _ in range(MAX_ITERATIONS if bound else 0):
+        state = replace(state, T=T)
+        before, deviation = deviation, fixed + sum(effect.deviation(state) for effect in bound)
+        if np.abs(deviation - before).max() < TOLERANCE:
+            break
+        T = module.forward(state.lengths + deviation, m, T)
+    else:
+        if bound:
+            left = np.abs(deviation - before).max(axis=1)
+            failed = np.flatnonzero(left >= TOLERANCE)
+            raise NotConverged(f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures", failed,
+                               state.lengths[failed], left[failed])
+    sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
+    return Run(T * exp(sway) if sway.any() else T, deviation)
+
+
+def _with_rates(design, commands, t, effects, sensors):
+    around = np.concatenate([t - ABOUT, t, t + ABOUT])
+    order = np.argsort(around, kind="stable")
+    done = run(design, commands, around[order], effects, sensors)
+    back = np.empty(len(order), int)
+    back[order] = np.arange(len(order))
+    before, at, after = np.split(back, 3)
+    T = done.T_base_platform
+    minus, plus = difference(T[at], T[before]), difference(T[at], T[after])
+    return Run(T[at], done.deviation[at], (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2)

@@ -1,45 +1,264 @@
-"""Which configurations to visit, in which order and how long: plans of commands and exposures through time."""
+"""Which configurations to visit, in which order and how long: plans of commands, exposures and payload through time.
 
-from dataclasses import dataclass
+A plan is written as parts joined by commas, each NAME or NAME:COUNT: sobol:100,ladder,moving:60 visits a hundred
+low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import qmc
 
+from rig import mechanisms, table
+from rig.errors import RigError
+from rig.pose import pose
 from rig.recording import Commands
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure
 SPEED = 0.5  # of the actuator's top speed
 UNSTATED_SPEED = 0.02  # m/s where the design states none
+STEP = 0.05  # s between command rows while moving
+EXPOSE_EVERY = 0.25  # s while moving
+FILL = 0.8  # of the strokes that plans use
+STANDARD = "sobol:220,moving:80,ladder,payload:20"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """commands : Commands; t : (frames,) s, the exposures."""
+    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries."""
 
     commands: Commands
     t: np.ndarray
+    payload: np.ndarray
+
+
+class _Writer:
+    """A plan being written: where the struts are, when, and what has been exposed."""
+
+    def __init__(self, start, speed):
+        self.t, self.values, self.exposures, self.payload = [0.0, 1.0], [start, start], [], [(0.0, 0.0)]
+        self.speed = speed
+
+    def go(self, goal):
+        travel = np.abs(goal - self.values[-1]).max() / self.speed
+        if travel > 0:
+            self.t.append(self.t[-1] + max(travel, STEP))
+            self.values.append(goal)
+
+    def dwell(self, seconds):
+        self.t.append(self.t[-1] + seconds)
+        self.values.append(self.values[-1])
+
+    def settle(self, goal):
+        """Go there, dwell, expose once settled."""
+        self.go(goal)
+        self.dwell(DWELL + AFTER)
+        self.exposures.append(self.t[-1] - AFTER)
+
+    def plan(self):
+        order = np.argsort(self.exposures)
+        return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.array(self.payload))
 
 
 def settled(configurations, start, speed):
     """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled. speed : m/s."""
-    t, values, exposures = [0.0, 1.0], [start, start], []
+    writer = _Writer(np.asarray(start, float), speed)
     for goal in configurations:
-        travel = max(np.abs(goal - values[-1]).max() / speed, 1e-3)
-        t += [t[-1] + travel, t[-1] + travel + DWELL + AFTER]
-        values += [goal, goal]
-        exposures.append(t[-1] - AFTER)
-    return Plan(Commands(np.array(t), np.array(values)), np.array(exposures))
+        writer.settle(goal)
+    return writer.plan()
 
 
-def low_discrepancy(strokes, count, fill=0.8, seed=0):
+def low_discrepancy(strokes, count, fill=FILL, seed=0):
     """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
     points = qmc.Sobol(len(strokes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
-    centre, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
-    return centre + fill * half * (2 * points - 1)
+    return _scaled(strokes, 2 * points - 1, fill)
+
+
+def grid(strokes, per_axis, fill=FILL):
+    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]), serpentine."""
+    if per_axis < 2:
+        raise RigError(f"a grid has at least 2 points an axis, got {per_axis}")
+    return _scaled(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
+
+
+def _serpentine(axes, levels):
+    """Grid points of levels on each axis in an order in which neighbours differ in one axis by one level."""
+    if axes == 0:
+        return [()]
+    inner = _serpentine(axes - 1, levels)
+    return [(level, *rest) for k, level in enumerate(levels) for rest in (inner if k % 2 == 0 else inner[::-1])]
+
+
+def simplices(strokes, shells=2, fill=FILL):
+    """Vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on each shell, the
+    axes' ends and the corners of a half fraction of the cube, which together split it into simplices."""
+    axes = len(strokes)
+    ends = np.concatenate([np.eye(axes), -np.eye(axes)])
+    corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])
+    shell = np.concatenate([ends, corners])
+    return _scaled(strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill)
+
+
+def along_and_about(design, per_axis=9):
+    """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the struts reach
+    (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
+    mechanism = design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"axes plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
+    found = []
+    for axis in range(6):
+        reach = []
+        for sign in (-1, 1):
+            low, high = 0.0, 1.0
+            for _ in range(40):
+                half = (low + high) / 2
+                lengths = module.inverse(_shifted(mechanism, axis, sign * half), mechanism)
+                inside = not module.limits(middle + (lengths - middle) / FILL, mechanism).any()
+                low, high = (half, high) if inside else (low, half)
+            reach.append(sign * low)
+        found += [module.inverse(_shifted(mechanism, axis, step), mechanism) for step in np.linspace(reach[0], reach[1], per_axis)]
+    return np.array(found)
+
+
+def _shifted(mechanism, axis, step):
+    offset = np.zeros(6)
+    offset[axis] = step
+    return pose(offset[:3], [0, 0, 0]) * mechanism.home * pose([0, 0, 0], offset[3:])
+
+
+def _scaled(strokes, unit, fill):
+    return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit
+
+
+def build(design, text, seed=0):
+    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+
+    Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, warmup:N, repeat:N and
+    commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
+    """
+    mechanism = design.mechanism
+    if mechanism.kind not in mechanisms.ALL:
+        raise RigError(f"a mechanism of kind {mechanism.kind!r} cannot be sent anywhere")
+    strokes = mechanism.strut_range
+    writer = _Writer(strokes.mean(axis=1), speed_of(design))
+    rng = np.random.default_rng(seed)
+    for part in (STANDARD if text == "standard" else text).split(","):
+        name, _, count = part.strip().partition(":")
+        if name not in PARTS:
+            raise RigError(f"plan {text!r}: there is no part {name!r}; there are {', '.join(PARTS)}")
+        if name != "commands" and count and not (count.isdigit() and int(count)):
+            raise RigError(f"plan {text!r}: {name} takes a whole number of at least 1, not {count!r}")
+        PARTS[name](writer, design, count if name == "commands" else int(count or 0), rng)
+    if not writer.exposures:
+        raise RigError(f"plan {text!r} exposes nothing")
+    return writer.plan()
+
+
+def _visit(configurations):
+    def part(writer, design, count, rng):
+        for goal in configurations(design, count, rng):
+            writer.settle(goal)
+
+    return part
+
+
+def _ladder(writer, design, steps, rng):
+    """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
+    strokes = design.mechanism.strut_range
+    middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
+    reaches = np.geomspace(1 / 64, 1, steps or 4)
+    for axis in range(len(strokes)):
+        step = np.zeros(len(strokes))
+        step[axis] = half[axis]
+        for reach in reaches:
+            for goal in (middle + reach * step, middle, middle - reach * step, middle):
+                writer.settle(goal)
+
+
+def _payload(writer, design, count, rng):
+    """The same configurations without and with a load of 0.6 of the platform's mass."""
+    goals = low_discrepancy(design.mechanism.strut_range, count or 12, seed=int(rng.integers(1 << 30)))
+    for mass in (0.0, 0.6 * (design.platform.mass or 1.0), 0.0):
+        writer.dwell(20.0)
+        writer.payload.append((writer.t[-1], mass))
+        writer.dwell(1.0)
+        for goal in goals:
+            writer.settle(goal)
+
+
+def _moving(writer, design, count, rng):
+    """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
+    strokes = design.mechanism.strut_range
+    middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
+    seconds = (count or 60) * EXPOSE_EVERY + 2.0
+    rates = rng.uniform(0.2, 0.6, (2, len(strokes)))
+    rates *= np.minimum(1, 2 * writer.speed / (half * rates.sum(axis=0)).max())
+    phases = rng.uniform(0, 2 * np.pi, (2, len(strokes)))
+
+    def at(t):
+        return middle + half / 2 * (np.sin(rates * t + phases) * 2).sum(axis=0) / 2
+
+    writer.go(at(0.0))
+    writer.dwell(1.0)
+    start = writer.t[-1]
+    for k in range(1, int(seconds / STEP) + 1):
+        writer.t.append(start + k * STEP)
+        writer.values.append(at(k * STEP))
+    writer.exposures += [start + 1.0 + k * EXPOSE_EVERY for k in range(count or 60)]
+
+
+def _warmup(writer, design, count, rng):
+    """One configuration in twelve comes back all along, minutes apart: four hours in all."""
+    goals = low_discrepancy(design.mechanism.strut_range, 11, seed=int(rng.integers(1 << 30)))
+    for k in range(count or 48):
+        writer.settle(design.mechanism.strut_range.mean(axis=1) if k % 2 else goals[k // 2 % len(goals)])
+        writer.dwell(4 * 3600 / (count or 48))
+
+
+def _repeat(writer, design, count, rng):
+    """Three configurations approached again and again from everywhere: what repeatability is."""
+    strokes = design.mechanism.strut_range
+    goals = low_discrepancy(strokes, 3, seed=1)
+    for k in range(count or 30):
+        writer.go(_scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
+        writer.settle(goals[k % 3])
+
+
+def _commands(writer, design, file, rng):
+    rows = table.read(Path(file), ("frame", *design.mechanism.axes))
+    values = rows.matrix(design.mechanism.axes)
+    beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
+    for i in np.flatnonzero(beyond.any(axis=1)):
+        rows.fail(f"strut {np.flatnonzero(beyond[i])[0] + 1} is commanded out of its range", i)
+    for goal in values:
+        writer.settle(goal)
+
+
+PARTS = {
+    "sobol": _visit(lambda design, count, rng: low_discrepancy(design.mechanism.strut_range, count or 100, seed=int(rng.integers(1 << 30)))),
+    "grid": _visit(lambda design, count, rng: grid(design.mechanism.strut_range, count or 2)),
+    "simplices": _visit(lambda design, count, rng: simplices(design.mechanism.strut_range, count or 2)),
+    "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
+    "ladder": _ladder, "payload": _payload, "moving": _moving, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
+}
 
 
 def speed_of(design):
     """m/s at which a plan moves the struts of a design."""
     top = design.actuator.max_speed
     return SPEED * top if top else UNSTATED_SPEED
+
+
+def logged(plan, sensors):
+    """Sensors with the plan's payload as a channel, a row at each step so that it stays one."""
+    if not (plan.payload[:, 1] > 0).any():
+        return replace(sensors, channels={**sensors.channels, "payload_mass_kg": np.zeros(len(sensors.t))})
+    steps = plan.payload[1:, 0]
+    t = np.union1d(sensors.t, np.concatenate([steps - 1e-3, steps]))
+    mass = plan.payload[np.searchsorted(plan.payload[:, 0], t, side="right") - 1, 1]
+    channels = {name: np.interp(t, sensors.t, values) for name, values in sensors.channels.items()}
+    return replace(sensors, t=t, channels={**channels, "payload_mass_kg": mass})

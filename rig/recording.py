@@ -10,7 +10,7 @@ from rig import design_file, table
 from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.images import check_image
-from rig.pose import TRIANGLE, covariance_from_triangle, pose, vector
+from rig.pose import TRIANGLE, covariance_from_triangle, pose
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
@@ -56,6 +56,13 @@ class Sensors:
 
     t: np.ndarray
     channels: dict[str, np.ndarray]
+
+    def at(self, t, *names):
+        """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
+        for name in names:
+            if name in self.channels:
+                return np.interp(t, self.t, self.channels[name])
+        raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, which the recording does not have")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,37 +276,3 @@ def _pose_covariance(rows):
     if len(bad):
         rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")
     return covariance
-
-
-def write_poses(path, poses):
-    """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
-    header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
-    lines = [",".join(header)]
-    for i, (frame, values) in enumerate(zip(poses.frame, vector(poses.T_base_platform))):
-        cells = [str(frame), *(f"{value:.10f}" for value in values)]
-        if poses.covariance is not None:
-            cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
-        lines.append(",".join(cells))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def write_corners(path, corners):
-    """Write a corners.csv with sigma and the whole covariance of each corner."""
-    lines = [",".join([*CORNER_COLUMNS, *(("sigma", *CORNER_COVARIANCE) if corners.covariance is not None else ())])]
-    for i, camera in enumerate(corners.camera):
-        cells = [f"{corners.frame[i]},{camera},{corners.marker[i]},{corners.corner[i]},{corners.uv[i, 0]:.5f},{corners.uv[i, 1]:.5f}"]
-        if corners.covariance is not None:
-            c = corners.covariance[i]
-            cells.append(f"{np.sqrt(np.trace(c) / 2):.5f},{c[0, 0]:.4e},{c[0, 1]:.4e},{c[1, 1]:.4e}")
-        lines.append(",".join(cells))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def copy_times(source, target, exposures):
-    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording."""
-    lines = ["frame,t,camera,image"]
-    lines += [f"{frame},{t:.6f},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
-    (Path(target) / "frames.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for name in ("commands.csv", "sensors.csv"):
-        if (Path(source) / name).exists():
-            (Path(target) / name).write_bytes((Path(source) / name).read_bytes())

@@ -1,22 +1,26 @@
 """Scene -> ideal image (pyrender, off screen through EGL): the only file that knows OpenGL's axes and pixel centres.
 
-The image is drawn as an oversized pinhole picture, several samples to the pixel, and then bent through the lens by remapping
-(cubic lens map, bilinear samples) and averaged over each pixel. Both steps are symmetric about the sample, so corners stay
-where the lens model puts them. A pixel centre is at a whole number for OpenCV and half a pixel further for OpenGL.
+The image is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
+bilinearly at several points of each pixel and taking their mean. Both steps are symmetric about the sample, so corners stay
+where the lens model puts them. (cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole
+number for OpenCV and half a pixel further for OpenGL.
 """
 
 import os
 import sys
 import types
+from dataclasses import replace
 
-import cv2
 import numpy as np
+from numba import njit
 from scipy.interpolate import RectBivariateSpline
 
 from rig.errors import MissingLibrary
+from rig.pose import exp
 from synthetic.scene import body_poses, shade
 from vision import lens
 
+FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
 SAMPLES = 2  # per pixel along either axis, before the pixel's mean
 GRID = 16  # px between the points where the lens is undone exactly
 ANISOTROPY = 16  # texture samples along a foreshortened face
@@ -43,10 +47,10 @@ def _pyrender():
 class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
-    def __init__(self, parts, design, samples=SAMPLES):
+    def __init__(self, parts, design, finer=FINER, samples=SAMPLES):
         self.pyrender = _pyrender()
-        self.parts, self.mechanism, self.samples = parts, design.mechanism, samples
-        self.cameras = {camera.name: _Pinhole(camera, samples) for camera in design.cameras}
+        self.parts, self.mechanism, self.finer, self.samples = parts, design.mechanism, finer, samples
+        self.cameras = {camera.name: _Pinhole(camera, finer, samples) for camera in design.cameras}
         self.scene = self.pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])
         self.nodes = [self.scene.add(self._mesh(part)) for part in parts]
         self.eye = None
@@ -55,13 +59,17 @@ class Renderer:
             self.renderer = self.pyrender.OffscreenRenderer(int(width), int(height))
         except Exception as error:  # pyrender passes on whatever EGL raises
             raise MissingLibrary(f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}") from None
+        self.renderer._renderer._read_main_framebuffer = self._read  # grey only: colour and depth would cost as much as drawing
 
     def close(self):
         """Give the OpenGL context back."""
         self.renderer.delete()
 
-    def draw(self, camera_name, T_base_platform, T_base_camera=None):
-        """(height, width) float32 radiance 0..1 seen by a camera, at a pose of the platform and (for a moving mount) its own."""
+    def draw(self, camera_name, T_base_platform, mount=None, focal=1.0):
+        """(height, width) float32 radiance 0..1 seen by a camera at a pose of the platform.
+
+        mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its focal length
+        """
         pinhole = self.cameras[camera_name]
         poses = body_poses(self.mechanism, T_base_platform)
         for part, node in zip(self.parts, self.nodes):
@@ -71,14 +79,29 @@ class Renderer:
             node.mesh.primitives[0].material.baseColorFactor = [grey, grey, grey, 1.0]
         if self.eye is not None:
             self.scene.remove_node(self.eye)
-        T = pinhole.camera.pose if T_base_camera is None else T_base_camera
+        T = pinhole.camera.pose if mount is None else pinhole.camera.pose * exp(mount)
         fx, fy, cx, cy = pinhole.intrinsics
+        if focal != 1:
+            pinhole = _Pinhole(_zoomed(pinhole.camera, focal), self.finer, self.samples)
+            fx, fy, cx, cy = pinhole.intrinsics
         view = self.pyrender.IntrinsicsCamera(fx, fy, cx + 0.5, cy + 0.5, znear=NEAR, zfar=FAR)
         self.eye = self.scene.add(view, pose=T.as_matrix() @ TO_OPENGL)
         self.renderer.viewport_width, self.renderer.viewport_height = pinhole.size
         flags = self.pyrender.RenderFlags.FLAT | self.pyrender.RenderFlags.SKIP_CULL_FACES
-        colour, _ = self.renderer.render(self.scene, flags=flags)
-        return pinhole.bend(colour[..., 0])
+        return pinhole.bend(self.renderer.render(self.scene, flags=flags))
+
+    def _read(self, scene, flags):
+        """(height, width) uint8 of the red channel, last row first, as OpenGL has it."""
+        from OpenGL import GL
+
+        inner = self.renderer._renderer
+        width, height = inner._main_fb_dims
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb_ms)
+        GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, inner._main_fb)
+        GL.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL.GL_COLOR_BUFFER_BIT, GL.GL_LINEAR)
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+        return np.frombuffer(GL.glReadPixels(0, 0, width, height, GL.GL_RED, GL.GL_UNSIGNED_BYTE), np.uint8).reshape(height, width)
 
     def _mesh(self, part):
         pyrender = self.pyrender
@@ -109,28 +132,52 @@ def _texture(pyrender, picture):
     return Anisotropic(source=picture, source_channels="RGB", sampler=sampler)
 
 
+def _zoomed(camera, factor):
+    matrix = camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= factor
+    return replace(camera, matrix=matrix)
+
+
 class _Pinhole:
     """The oversized pinhole picture behind a camera's image, and the way from one to the other."""
 
-    def __init__(self, camera, samples):
+    def __init__(self, camera, finer, samples):
         self.camera, self.samples = camera, samples
         nodes_u, nodes_v = np.arange(-GRID, camera.width + 2 * GRID, GRID), np.arange(-GRID, camera.height + 2 * GRID, GRID)
         grid = np.stack(np.meshgrid(nodes_u, nodes_v), axis=-1).astype(float)
         ideal = lens.undistort(grid, camera.matrix, camera.distortion)
         if not np.isfinite(ideal).all():
             raise ValueError(f"camera {camera.name!r}: its lens cannot be undone over the whole image")
-        focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]]) * samples
+        focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]]) * finer
         low, high = (ideal * focal).min(axis=(0, 1)), (ideal * focal).max(axis=(0, 1))
         margin = 4
         self.intrinsics = (*focal, *(margin - low))
         self.size = tuple(int(n) for n in np.ceil(high - low + 2 * margin))
         fine = (np.arange(camera.width * samples) + 0.5) / samples - 0.5, (np.arange(camera.height * samples) + 0.5) / samples - 0.5
-        maps = [RectBivariateSpline(nodes_v, nodes_u, ideal[..., k])(fine[1], fine[0]) * focal[k] + margin - low[k] for k in range(2)]
-        self.maps = cv2.convertMaps(maps[0].astype(np.float32), maps[1].astype(np.float32), cv2.CV_32FC1)
+        x, y = (RectBivariateSpline(nodes_v, nodes_u, ideal[..., k])(fine[1], fine[0]) * focal[k] + margin - low[k] for k in range(2))
+        self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)
 
     def bend(self, picture):
-        """(height, width) float32 0..1 image of a pinhole picture (uint8)."""
-        bent = cv2.remap(np.ascontiguousarray(picture).astype(np.float32), *self.maps, cv2.INTER_LINEAR)
-        if self.samples > 1:
-            bent = cv2.resize(bent, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
-        return bent / 255
+        """(height, width) float32 0..1 image of a pinhole picture (uint8, last row first)."""
+        out = np.empty((self.camera.height, self.camera.width), np.float32)
+        _bend(picture, self.places, self.samples, out)
+        return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _bend(picture, places, samples, out):
+    """Mean over samples x samples bilinear samples of a uint8 picture at places (h s, w s, 2), for each pixel of out (h, w)."""
+    scale = np.float32(1 / (255 * samples * samples))
+    for v in range(out.shape[0]):
+        for u in range(out.shape[1]):
+            total = np.float32(0)
+            for j in range(samples):
+                for i in range(samples):
+                    x = places[v * samples + j, u * samples + i, 0]
+                    y = places[v * samples + j, u * samples + i, 1]
+                    x0, y0 = int(x), int(y)
+                    fx, fy = x - x0, y - y0
+                    top = picture[y0, x0] + fx * (np.float32(picture[y0, x0 + 1]) - picture[y0, x0])
+                    bottom = picture[y0 + 1, x0] + fx * (np.float32(picture[y0 + 1, x0 + 1]) - picture[y0 + 1, x0])
+                    total += top + fy * (bottom - top)
+            out[v, u] = total * scale

@@ -13,11 +13,12 @@ import trimesh
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import FACES
-from vision.targets import face_pose, marker_cells, markers
+from vision.targets import face_pose, marker_cells, marker_map
 
 TEXELS = 32  # per cell of a marker
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
 STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius
+SHARE = 0.55  # of a strut's length that is its thick part
 PLATE = 0.012  # m thick
 
 
@@ -51,14 +52,21 @@ LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
 AMBIENT = 0.25
 
 
-def parts(design, background="plain", rng=None):
-    """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter."""
+def parts(design, background="plain", rng=None, markers=None):
+    """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter.
+
+    markers : MarkerMap of where and how large the markers really are, by default as the design has them
+    """
     found = []
     mechanism = design.mechanism
     if mechanism.kind == "hexapod":
         found += _plate("base", mechanism.base_joints, design) + _plate("platform", mechanism.platform_joints, design) + _struts(mechanism)
+    placed = markers if markers is not None else marker_map(design)
     for target in design.targets:
-        found += _target(target)
+        found += _blank_faces(target)
+    for k in range(len(placed.id)):
+        found += marker_face("platform" if placed.on_platform[k] else "base", placed.dictionary[k], int(placed.id[k]), placed.T_body_marker[k],
+                             placed.side[k], placed.side[k] + 2 * placed.margin[k])
     return found + _surroundings(design, background, rng)
 
 
@@ -72,7 +80,7 @@ def body_poses(mechanism, T_base_platform):
             side /= np.linalg.norm(side)
             frame = np.eye(4)
             frame[:3, :3] = np.stack([side, np.cross(along, side), along], axis=1)
-            for name, at, scale in (("lower", low, 0.55), ("upper", high, -0.55)):
+            for name, at, scale in (("lower", low, SHARE), ("upper", high, -SHARE)):
                 matrix = frame.copy()
                 matrix[:3, 3] = at
                 matrix[:3, 2] *= scale * np.linalg.norm(high - low)
@@ -94,11 +102,16 @@ def shade(part, matrix):
     return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))
 
 
-def _plate(body, joints, design):
-    """A disc that carries the body's joints and cubes, just under its plane of joints."""
+def plate_radius(body, design):
+    """m, of the disc that carries a body's joints and cubes."""
+    joints = design.mechanism.base_joints if body == "base" else design.mechanism.platform_joints
     cubes = [np.linalg.norm(target.pose.translation[:2]) + 0.8 * target.edge for target in design.targets if target.body == body and target.edge]
-    radius = max([1.12 * np.linalg.norm(joints[:, :2], axis=1).max(), *cubes])
-    disc = trimesh.creation.cylinder(radius=radius, height=PLATE, sections=96)
+    return max([1.12 * np.linalg.norm(joints[:, :2], axis=1).max(), *cubes])
+
+
+def _plate(body, joints, design):
+    """A disc just under the plane of joints."""
+    disc = trimesh.creation.cylinder(radius=plate_radius(body, design), height=PLATE, sections=96)
     disc.apply_translation([0, 0, joints[:, 2].mean() - PLATE / 2 - 0.002])
     return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
 
@@ -114,19 +127,11 @@ def _struts(hexapod):
     return found
 
 
-def _target(target):
-    if not target.listed:
-        ids = dict(target.faces)
-        found = []
-        for face in FACES:
-            pose = target.pose * face_pose(face, target.edge)
-            if face in ids:
-                found += marker_face(target.body, target.dictionary, ids[face], pose, target.marker, target.edge)
-            else:
-                found.append(_quad(target.body, pose, target.edge / 2, WHITE))
-        return found
-    return [part for marker in markers(target)
-            for part in marker_face(target.body, target.dictionary, marker.id, marker.pose, marker.side, marker.side + 2 * marker.margin)]
+def _blank_faces(target):
+    """The faces of a cube that carry no marker."""
+    taken = dict(target.faces)
+    return [_quad(target.body, target.pose * face_pose(face, target.edge), target.edge / 2, WHITE)
+            for face in FACES if target.edge is not None and face not in taken]
 
 
 def marker_face(body, dictionary, number, T_body_marker, side, size):

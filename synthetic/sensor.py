@@ -1,31 +1,50 @@
-"""Radiance -> grey levels: blur, exposure, shot and read noise, quantisation."""
+"""Radiance -> grey levels: optics, light lost at the edge, shot and read noise, quantisation (after EMVA 1288)."""
 
-from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
-
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """blur : px, standard deviation of the optics' spot; white : grey level of radiance 1; black : of radiance 0
-    read_noise : grey levels; electrons : per grey level, for shot noise (0 for none); bits : 8 or 12"""
-
-    blur: float = 0.5
-    white: float = 230.0
-    black: float = 4.0
-    read_noise: float = 0.5
-    electrons: float = 0.0
-    bits: int = 8
+BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
 def expose(radiance, sensor, rng):
-    """(height, width) uint8 or uint16 image of a radiance (height, width) 0..1. rng : numpy Generator."""
+    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (height, width) float32 0..1.
+
+    sensor : rig.design.Sensor; rng : numpy Generator. The variance of a pixel is read_noise^2 + light / electrons, in grey
+    levels of 255, before it is rounded (EMVA Standard 1288, the linear camera model).
+    """
+    if sensor.defocus:
+        radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus), borderType=cv2.BORDER_REPLICATE)
     if sensor.blur:
         radiance = cv2.GaussianBlur(radiance, (0, 0), sensor.blur)
-    grey = sensor.black + (sensor.white - sensor.black) * radiance
-    variance = sensor.read_noise**2 + (np.maximum(grey - sensor.black, 0) / sensor.electrons if sensor.electrons else 0.0)
-    noisy = grey + np.sqrt(variance) * rng.standard_normal(grey.shape, dtype=np.float32)
+    light = sensor.gain * radiance
+    if sensor.vignetting:
+        light = light * _falloff(radiance.shape, sensor.vignetting)
+    grey = light + np.float32(BLACK)
+    if sensor.read_noise or sensor.electrons:
+        noise = rng.standard_normal(grey.shape, dtype=np.float32)
+        if sensor.electrons:
+            noise *= np.sqrt(np.float32(sensor.read_noise**2) + light / np.float32(sensor.electrons))
+        else:
+            noise *= np.float32(sensor.read_noise)
+        grey = grey + noise
     top = 2**sensor.bits - 1
-    scaled = noisy * (top / 255)
-    return np.clip(np.rint(scaled), 0, top).astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    return np.clip(np.rint(grey * np.float32(top / 255)), 0, top).astype(np.uint8 if sensor.bits == 8 else np.uint16)
+
+
+@lru_cache
+def _disc(radius):
+    """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers."""
+    reach, fine = int(np.ceil(radius + 0.5)), 16
+    at = (np.arange((2 * reach + 1) * fine) + 0.5) / fine - reach - 0.5
+    inside = (at[:, None] ** 2 + at**2 <= radius**2).astype(np.float32)
+    kernel = inside.reshape(2 * reach + 1, fine, 2 * reach + 1, fine).mean(axis=(1, 3))
+    return kernel / kernel.sum()
+
+
+@lru_cache
+def _falloff(shape, lost):
+    """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the radius."""
+    v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in shape)
+    return 1 - np.float32(lost / 2) * (v[:, None] ** 2 + u**2)

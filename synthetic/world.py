@@ -1,34 +1,49 @@
 """A secret machine: what its owner believes, and what it really is, drawn at random and kept apart."""
 
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from rig.design import Design
-from rig.pose import exp
+from rig.effects.parse import from_dict, to_dict
+from rig.errors import FileError, RigError
+from rig.pose import exp, pose, vector
+from rig.recording import Sensors
+from rig.writing import write_text
 
 JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
 ZERO = 3e-4  # m, of a strut's zero
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose
 FOCAL, CENTRE = 4e-4, 1.0  # of the focal length; px
 DISTORTION = np.array([1e-3, 5e-3, 5e-5, 5e-5, 0.0])  # of k1 k2 p1 p2 k3
+LOG_EVERY = 30.0  # s between rows of sensors.csv
+LOG_NOISE = 0.03  # K
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """stated : Design as its owner believes it; true : Design as it is."""
+    """stated : Design as its owner believes it; true : Design as it is; effects : what is at work besides."""
 
     stated: Design
     true: Design
+    effects: tuple = ()
 
 
-def draw(stated, rng, size=1.0):
-    """World around a stated design (a hexapod). rng : numpy Generator; size : multiplies every deviation."""
+def draw(stated, rng, size=1.0, effects=()):
+    """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at work."""
     m = stated.mechanism
-    mechanism = replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
-                        platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
-                        strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6))
-    return World(stated, replace(stated, mechanism=mechanism, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras)))
+    if m.kind == "hexapod":
+        m = replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
+                    platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
+                    strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6))
+    elif m.kind == "planar2":
+        m = replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
+                    strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
+    else:
+        raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; hexapod and planar2 can")
+    return World(stated, replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras)), tuple(effects))
 
 
 def _camera(camera, rng, size):
@@ -39,3 +54,47 @@ def _camera(camera, rng, size):
     terms = np.zeros(len(camera.distortion))
     terms[: min(5, len(terms))] = (size * DISTORTION * rng.normal(size=5))[: len(terms)]
     return replace(camera, pose=moved, matrix=matrix, distortion=camera.distortion + terms)
+
+
+def weather(duration, rng, struts=6):
+    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, the struts warm up by as much again.
+
+    Channels ambient_temperature_C and strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.
+    """
+    t = np.arange(0.0, duration + LOG_EVERY, LOG_EVERY)
+    room = 20 + rng.uniform(-1, 1) + rng.uniform(0.3, 1.2) * np.sin(2 * np.pi * t / rng.uniform(3000, 9000) + rng.uniform(0, 6.28))
+    true = {"ambient_temperature_C": room}
+    for i in range(struts):
+        true[f"strut{i + 1}_temperature_C"] = room + rng.uniform(1, 3) * (1 - np.exp(-t / rng.uniform(600, 2400)))
+    log = {name: np.round(values + LOG_NOISE * rng.normal(size=len(t)), 3) for name, values in true.items()}
+    return Sensors(t, true), Sensors(t, log)
+
+
+def write_truth(path, world, T_base_platform, **more):
+    """Write the truth of a recording as JSON: effects with parameters, joints, zeros, cameras, poses as row-major 4 x 4, and more."""
+    m = world.true.mechanism
+    tree = {"effects": [to_dict(effect) for effect in world.effects], "base_joints": m.base_joints.tolist(),
+            "strut_zeros": m.strut_zeros.tolist(), "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(),
+            "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
+                        for c in world.true.cameras], **more}
+    if m.kind == "hexapod":
+        tree["platform_joints"] = m.platform_joints.tolist()
+    write_text(path, json.dumps(tree) + "\n")
+
+
+def from_truth(path, stated):
+    """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
+    try:
+        tree = json.loads(Path(path).read_text(encoding="utf-8"))
+        names = [name for name in ("base_joints", "platform_joints", "strut_zeros") if name in tree]
+        mechanism = replace(stated.mechanism, **{name: tree[name] for name in names})
+        known = {entry["name"]: entry for entry in tree["cameras"]}
+        cameras = tuple(replace(c, matrix=known[c.name]["matrix"], distortion=known[c.name]["distortion"],
+                                pose=pose(known[c.name]["pose"][:3], known[c.name]["pose"][3:])) for c in stated.cameras)
+        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras), tuple(from_dict(entry) for entry in tree["effects"]))
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise FileError(path, f"is no truth of this rig: {error!r}") from None

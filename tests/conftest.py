@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig import design_file, layout, plan
-from synthetic import simulate, world
+from synthetic import simulation, world
 
 ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "tests" / "data" / "bench"
@@ -33,14 +33,15 @@ def design(rig_text, tmp_path_factory):
     return design_file.load(path)
 
 
-def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0):
+def make_recording(folder, design, rig_text, seed, count=24, noise=0.04, size=1.0, effects=()):
     """A simulated recording at corner level in a folder, its World and its true poses."""
     rng = np.random.default_rng(seed)
-    secret = world.draw(design, rng, size)
+    secret = world.draw(design, rng, size, effects)
     strokes = design.mechanism.strut_range
     route = plan.settled(plan.low_discrepancy(strokes, count, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
-    T = simulate.simulate(secret, route, folder, rng, rig_text, noise=noise)
-    return secret, T
+    done = simulation.simulate(secret, route, rng)
+    simulation.write(done, folder, rig_text, rng, noise)
+    return secret, done.run.T_base_platform
 
 
 @pytest.fixture

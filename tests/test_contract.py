@@ -15,7 +15,8 @@ def test_imports_keep_the_contract(monkeypatch):
 
 def test_help_imports_nothing_heavy():
     code = ("import sys; from rig.cli import main\n"
-            "try: main(['--help'])\nexcept SystemExit: pass\n"
+            "for words in (['--help'], ['simulate', '--help'], ['measure', '--help']):\n"
+            "    try: main(words)\n    except SystemExit: pass\n"
             "heavy = {'numpy', 'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender'} & set(sys.modules)\n"
             "print('HEAVY', heavy)")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -25,4 +26,4 @@ def test_help_imports_nothing_heavy():
 def test_no_file_outgrows_its_room():
     files = [path for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")]
     sizes = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}
-    assert {name: lines for name, lines in sizes.items() if lines > 310} == {}
+    assert {name: lines for name, lines in sizes.items() if lines > 300} == {}

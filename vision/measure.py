@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.errors import NotEnoughData
+from rig.recording import Corners
 from vision.adjust import Adjustment, adjust
 from vision.locate import View, locate, undistorted
 from vision.observations import Observations
@@ -46,6 +47,16 @@ class Measurement:
     standing: float
     factor: float
     adjustment: Adjustment
+
+    def ids(self):
+        """Identity of each row of the marker map."""
+        return [number for target in self.design.targets for number in target.ids]
+
+    def corners(self):
+        """recording.Corners of all observations, with covariance."""
+        o, ids = self.observations, self.ids()
+        names = [camera.name for camera in self.design.cameras]
+        return Corners(o.frames[o.frame], [names[i] for i in o.camera], [ids[i] for i in o.marker], o.corner, o.uv, o.covariance)
 
 
 def measure(observations, design, marker_map, free=("poses", "lenses"), progress=None):

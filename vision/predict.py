@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera
-from rig.pose import transform_points
+from rig.errors import RigError
+from rig.pose import exp, transform_points
 from vision import lens
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
@@ -31,19 +32,133 @@ def predict(observations, state):
     return uv, ahead
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """k markers in images. frame : (k,) index; camera : (k,) index; marker : (k,) row of the marker map."""
+
+    frame: np.ndarray
+    camera: np.ndarray
+    marker: np.ndarray
+
+    def take(self, index):
+        """Those of an index or mask (k,)."""
+        return Sightings(self.frame[index], self.camera[index], self.marker[index])
+
+
+def facing(state, markers, steepest=STEEPEST):
+    """Sightings of all markers that face a camera, lie ahead of it, and are not seen too obliquely (cosine of the tilt)."""
+    base, normals = _quads(state.platform, markers)
+    out = []
+    for i, camera in enumerate(state.cameras):
+        eye = state.moving[i].translation[:, None] if i in state.moving else camera.pose.translation
+        R = state.moving[i].rotation.as_matrix()[:, None] if i in state.moving else camera.pose.rotation.as_matrix()
+        sight = base.mean(axis=2) - eye
+        cosine = -np.einsum("fmi,fmi->fm", normals, sight) / np.linalg.norm(sight, axis=2)
+        depth = (sight[..., None, :] @ R)[..., 0, 2]
+        frame, marker = np.nonzero((cosine > steepest) & (depth > 2 * markers.side))
+        out.append((frame, np.full(len(frame), i), marker))
+    return Sightings(*(np.concatenate(column) for column in zip(*out)))
+
+
+def see(sightings, state, markers, t=None, effects=(), sensors=None, run=None):
+    """Corners (k, 4, 2) px of sightings, with all that the effects do to markers, cameras and the moment of exposure.
+
+    state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or None
+    run : machine.Run with rates, needed where rows of a camera are exposed one after the other
+    Raises RigError where an effect needs a sensor channel that is not there
+    """
+    for effect in effects:
+        markers = effect.attach(markers)
+    t = np.zeros(len(state.platform)) if t is None else np.asarray(t, float)
+    corners, _ = _quads(state.platform, markers)
+    uv = np.empty((len(sightings.frame), 4, 2))
+    for i in np.unique(sightings.camera):
+        rows = np.flatnonzero(sightings.camera == i)
+        frame, marker = sightings.frame[rows], sightings.marker[rows]
+        view = _view(state, int(i), t, effects, sensors)
+        quads = view(corners[frame, marker], frame)
+        late = _late(state.cameras[i], effects, quads[..., 1])
+        on = markers.on_platform[marker]
+        if late.any() and run is not None:
+            for _ in range(3):  # the row tells the moment, the moment tells the row
+                quads = view(_delayed(corners[frame, marker], markers, marker, state, frame, on, run, late), frame)
+                late = _late(state.cameras[i], effects, quads[..., 1])
+        for effect in effects:
+            quads = effect.print_(state.cameras[i], quads)
+        uv[rows] = quads
+    return uv
+
+
+def inside(sightings, uv, cameras, margin=INSIDE):
+    """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
+    size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
+    return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))
+
+
 def expected(camera, T_base_platform, marker_map):
     """Marker rows (k,) that a camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
-    points = marker_map.corners.copy()
-    on = marker_map.on_platform
-    points[on] = transform_points(T_base_platform, points[on].reshape(-1, 3)).reshape(-1, 4, 3)
-    ahead = transform_points(camera.pose.inv(), points.reshape(-1, 3)).reshape(-1, 4, 3)
-    out = np.cross(ahead[:, 3] - ahead[:, 0], ahead[:, 1] - ahead[:, 0])
-    centre = ahead.mean(axis=1)
-    cosine = -np.einsum("mi,mi->m", out, centre) / np.linalg.norm(out, axis=1) / np.linalg.norm(centre, axis=1)
-    rows = np.flatnonzero((cosine > STEEPEST) & (ahead[..., 2] > 1e-3).all(axis=1))
-    uv = lens.project(ahead[rows], camera.matrix, camera.distortion)
-    inside = ((uv > INSIDE) & (uv < np.array([camera.width, camera.height]) - 1 - INSIDE)).all(axis=(1, 2))
-    return rows[inside], uv[inside]
+    state = State((camera,), RigidTransform.from_matrix(T_base_platform.as_matrix()[None]), {})
+    found = facing(state, marker_map)
+    uv = see(found, state, marker_map)
+    whole = inside(found, uv, state.cameras)
+    return found.marker[whole], uv[whole]
+
+
+def _quads(platform, markers):
+    """Corners (F, m, 4, 3) m and normals (F, m, 3) of all markers in the base frame, at poses platform (F,)."""
+    on = markers.on_platform
+    matrix = platform.as_matrix()[:, None]
+    corners = np.broadcast_to(markers.corners, (len(platform), *markers.corners.shape)).copy()
+    normals = np.broadcast_to(markers.T_body_marker.rotation.as_matrix()[:, :, 2], (len(platform), len(on), 3)).copy()
+    corners[:, on] = corners[:, on] @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
+    normals[:, on] = (matrix[..., :3, :3] @ normals[:, on][..., None])[..., 0]
+    return corners, normals
+
+
+def _view(state, i, t, effects, sensors):
+    """A function (points (k, 4, 3) m in the base, frame (k,)) -> pixels (k, 4, 2) through camera i with its effects."""
+    camera = state.cameras[i]
+    mount, focal = np.zeros((len(t), 6)), np.ones(len(t))
+
+    def channel(*names):
+        if sensors is None:
+            raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, and the recording has no sensors.csv")
+        return sensors.at(t, *names)
+
+    for effect in effects:
+        mount += effect.mount(camera, t, channel)
+        focal *= effect.focal(camera, t, channel)
+        camera = effect.camera(camera)
+    poses = state.moving[i] if i in state.moving else RigidTransform.from_matrix(np.broadcast_to(camera.pose.as_matrix(), (len(t), 4, 4)))
+    matrix = (poses * exp(mount)).inv().as_matrix()
+    centre = camera.matrix[:2, 2]
+
+    def look(points, frame):
+        ahead = points @ np.swapaxes(matrix[frame, :3, :3], 1, 2) + matrix[frame, None, :3, 3]
+        for effect in effects:
+            ahead = effect.bend(camera, ahead)
+        uv = lens.project(ahead, camera.matrix, camera.distortion)
+        return uv if (focal == 1).all() else centre + (uv - centre) * focal[frame, None, None]
+
+    return look
+
+
+def _late(camera, effects, v):
+    """(k, 4) s by which corners in image rows v (k, 4) are exposed after the middle row."""
+    late = (v - camera.height / 2) * (camera.row_time if camera.shutter == "rolling" else 0.0)
+    for effect in effects:
+        late = late + effect.late(camera, v)
+    return late
+
+
+def _delayed(corners, markers, marker, state, frame, on, run, late):
+    """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
+    step = late[..., None] * run.rate[frame][:, None] + late[..., None] ** 2 / 2 * run.curvature[frame][:, None]
+    moved = exp(step).as_matrix()
+    body = (moved[..., :3, :3] @ markers.corners[marker][..., None])[..., 0] + moved[..., :3, 3]
+    matrix = state.platform.as_matrix()[frame]
+    base = body @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
+    return np.where(on[:, None, None], base, corners)
 
 
 def by_camera(observations, state):

@@ -1,6 +1,6 @@
 """Where every marker of a rig sits on its body: corners in the body's frame, from cubes and from listed markers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
@@ -18,9 +18,8 @@ _SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 
 class MarkerMap:
     """All markers of a rig, one row each.
 
-    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side, margin : (m,) m
-    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise
-    dictionary, target : m names
+    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
+    corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and side
     """
 
     id: np.ndarray
@@ -28,9 +27,12 @@ class MarkerMap:
     T_body_marker: RigidTransform
     side: np.ndarray
     margin: np.ndarray
-    corners: np.ndarray
     dictionary: list[str]
     target: list[str]
+    corners: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * _SQUARE))
 
     def rows(self, ids):
         """Row of each identity (n,) -> (n,); -1 for one that no target has."""
@@ -62,12 +64,10 @@ def marker_map(design):
     rows = [(marker, target) for target in design.targets for marker in markers(target)]
     if not rows:
         raise ValueError(f"design {design.name!r} has no targets")
-    T = RigidTransform.concatenate([marker.pose for marker, _ in rows])
-    side = np.array([marker.side for marker, _ in rows])
     return MarkerMap(
         id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body == "platform" for _, target in rows]),
-        T_body_marker=T, side=side, margin=np.array([marker.margin for marker, _ in rows]),
-        corners=transform_points(T, side[:, None, None] * _SQUARE), dictionary=[target.dictionary for _, target in rows],
+        T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]), side=np.array([marker.side for marker, _ in rows]),
+        margin=np.array([marker.margin for marker, _ in rows]), dictionary=[target.dictionary for _, target in rows],
         target=[target.name for _, target in rows])
 
 

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rig import recording
+from rig import recording, writing
 from rig.errors import FileError, RigError
 from rig.pose import difference
 from tests.conftest import BENCH, SHARED
@@ -146,7 +146,7 @@ def test_poses_survive_writing(tmp_path):
     from rig.pose import exp
 
     poses = recording.Poses(np.array([0, 2, 3, 9]), exp(rng.normal(size=(4, 6)) * 0.2), A @ np.swapaxes(A, 1, 2) + 1e-12 * np.eye(6))
-    recording.write_poses(tmp_path / "poses.csv", poses)
+    writing.write_poses(tmp_path / "poses.csv", poses)
     again = recording.load_poses(tmp_path / "poses.csv", {0, 2, 3, 9})
     assert again.frame.tolist() == [0, 2, 3, 9]
     assert np.abs(difference(again.T_base_platform, poses.T_base_platform)).max() < 2e-10
@@ -178,7 +178,7 @@ def test_corners_survive_writing(recording_folder):
     n = len(found.frame)
     covariance = np.tile(np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (n, 1, 1))
     again = recording.Corners(found.frame, found.camera, found.marker, found.corner, found.uv, covariance)
-    recording.write_corners(recording_folder / "corners.csv", again)
+    writing.write_corners(recording_folder / "corners.csv", again)
     again = recording.load(recording_folder).corners
     np.testing.assert_allclose(again.uv, found.uv, atol=1e-5)
     np.testing.assert_allclose(again.covariance, covariance, rtol=1e-3)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from rig import plan
-from rig.mechanisms import hexapod
-from synthetic import simulate, world
+from synthetic import simulation, world
 from vision.observations import from_corners
 from vision.targets import marker_map
 
@@ -15,10 +14,11 @@ def scene(design, seed, frames=12, noise=0.04, size=1.0):
     """(Observations, stated Design, true Design, true poses) of one simulated recording."""
     rng = np.random.default_rng(seed)
     secret = world.draw(design, rng, size)
-    lengths = plan.low_discrepancy(design.mechanism.strut_range, frames, seed=seed)
-    T = hexapod.forward(lengths, secret.true.mechanism)
-    corners = simulate.corners(secret.true, T, noise, rng)
-    return from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, T
+    strokes = design.mechanism.strut_range
+    route = plan.settled(plan.low_discrepancy(strokes, frames, seed=seed), strokes.mean(axis=1), plan.speed_of(design))
+    done = simulation.simulate(secret, route, rng)
+    corners = simulation.corners(done, noise, rng)
+    return from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, done.run.T_base_platform
 
 
 def known(design, true):

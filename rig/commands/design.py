@@ -1,0 +1,35 @@
+"""rig design --radius R --out rig.toml."""
+
+from pathlib import Path
+
+from rig.commands.output import fresh_file
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("--radius", type=float, required=True, metavar="M", help="of the circle of base joints, m")
+    parser.add_argument("--cameras", type=int, default=3)
+    parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
+    parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
+    parser.add_argument("--dictionary", default="DICT_5X5_100")
+    parser.add_argument("--name", default="hexapod")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="written here, or printed")
+
+
+def run(arguments):
+    """Write or print a rig.toml."""
+    import re
+
+    from rig.errors import RigError
+    from rig.layout import layout
+    from rig.writing import write_text
+
+    size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
+    if not size:
+        raise RigError(f"--size takes for example 1280x1024, not {arguments.size!r}")
+    text = layout(arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name)
+    if arguments.out is None:
+        print(text, end="")
+        return
+    write_text(fresh_file(arguments.out), text)
+    print(f"written: {arguments.out}")

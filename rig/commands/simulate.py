@@ -1,0 +1,87 @@
+"""rig simulate RIG.toml --plan .. --out REC."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_file, fresh_folder
+from rig.errors import RigError
+
+SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, radius of a disc on top of it",
+          "vignetting": "share of the light lost in the corners", "gain": "grey levels of a white face in full light",
+          "exposure": "s", "exposures": "pictures averaged over the exposure", "read_noise": "grey levels",
+          "electrons": "per grey level, for shot noise", "bits": "8 or 12"}
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("--plan", default="standard", help="parts joined by commas: sobol:N, grid:N, simplices:N, axes:N, ladder:N, payload:N, "
+                        "moving:N, warmup:N, repeat:N, commands:FILE; or standard (the default)")
+    parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
+    parser.add_argument("--noise", type=float, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
+    kind.add_argument("--corners", action="store_true", help="write corners.csv (the default)")
+    parser.add_argument("--seed", type=int, default=0, help="of the secret machine, the weather and the noise")
+    parser.add_argument("--secret", type=float, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
+    parser.add_argument("--machine", type=Path, metavar="TRUTH", help="take the machine, its cameras and effects from this truth file")
+    parser.add_argument("--out", metavar="REC", type=Path, required=True)
+    parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
+    parser.add_argument("--background", choices=("plain", "cluttered"), default="plain")
+    parser.add_argument("--compression", type=int, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
+    for name, text in SENSOR.items():
+        parser.add_argument("--" + name.replace("_", "-"), type=int if name in ("bits", "exposures") else float, help=text)
+
+
+def run(arguments):
+    """Simulate a recording and write it, and its truth apart."""
+    from rig import design_file
+    from rig.effects.parse import parse
+
+    design = design_file.load(arguments.design)
+    effects = tuple(parse(text) for text in arguments.effect)
+    sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
+    _check(arguments, sensor)
+    if not design.cameras or not design.targets:
+        raise RigError(f"{arguments.design} has {len(design.cameras)} cameras and {len(design.targets)} targets; simulating takes both")
+
+    import numpy as np
+
+    from rig.plan import build
+    from synthetic import simulation, world
+    from synthetic.pictures import Images, check_drawable
+
+    if arguments.images:
+        check_drawable(effects)
+    rng = np.random.default_rng(arguments.seed)
+    if arguments.machine:
+        secret = world.from_truth(arguments.machine, design)
+        secret = replace(secret, effects=secret.effects + effects)
+    else:
+        secret = world.draw(design, rng, arguments.secret, effects)
+    plan = build(design, arguments.plan, arguments.seed)
+    out = fresh_folder(arguments.out, arguments.design.parent if (arguments.design.parent / "frames.csv").exists() else None)
+    truth = fresh_file(arguments.truth) if arguments.truth else None
+    done = simulation.simulate(secret, plan, rng)
+    text = arguments.design.read_text(encoding="utf-8-sig")
+    images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
+    progress = Progress()
+    simulation.write(done, out, text, rng, arguments.noise, images, lambda k, of: progress("drawing", k, of))
+    if truth is not None:
+        more = {"corners": simulation.truth_corners(done)} if images else {"noise_px": arguments.noise}
+        world.write_truth(truth, secret, done.run.T_base_platform, seed=arguments.seed, **more)
+    names = ", ".join(f"{effect.name} at {effect.place}" for effect in secret.effects) or "none"
+    where = f"{out}" + (f", truth in {truth}" if truth else "")
+    print(f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}; written: {where}")
+
+
+def _check(arguments, sensor):
+    if arguments.noise < 0:
+        raise RigError(f"--noise must be at least 0 px, not {arguments.noise:g}")
+    for field in fields(sensor):
+        if getattr(sensor, field.name) < 0:
+            raise RigError(f"--{field.name.replace('_', '-')} must not be negative, got {getattr(sensor, field.name):g}")
+    if sensor.bits not in (8, 12):
+        raise RigError(f"--bits takes 8 or 12, not {sensor.bits}")
+    if sensor.exposure > 0 and sensor.exposures < 2:
+        raise RigError("an exposure in time takes --exposures of at least 2")

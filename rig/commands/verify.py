@@ -1,0 +1,81 @@
+"""rig verify CALIBRATION REC [--json] [--wanted poses.csv]."""
+
+import json
+import sys
+from pathlib import Path
+
+from rig.commands.output import SEED, Progress, print_comparison, print_unsolved
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table (m, rad)")
+    parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
+
+
+def run(arguments):
+    """Hold a calibration against a recording and print the figures."""
+    from calib import store
+    from rig import recording as recordings
+
+    calibration = store.load(arguments.calibration)
+    wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
+    recording = recordings.load(arguments.recording)
+
+    import numpy as np
+
+    from calib.certificate import compare, errors_of
+    from calib.pipeline import sample_recording
+
+    sampled = sample_recording(recording, progress=Progress())
+    samples = sampled.samples
+    held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED))
+    used = store.provenance(recording, [], SEED, sampled.source == "images")["inputs_sha256"]
+    same = used == calibration.provenance["inputs_sha256"]
+    driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
+    if arguments.json:
+        print(json.dumps(_verification(held, same, sampled, driven), indent=1))
+        return
+    if same:
+        print("warning: the calibration was made from this very recording, so these figures are not held out", file=sys.stderr)
+    if driven is None:
+        print_comparison(held, f"{samples.frame.size} poses from {sampled.source}")
+    else:
+        figures, stated = driven
+        print(f"{figures.n} poses as measured, against the poses wanted: position {figures.position[0] * 1e3:.4f} mm RMS, "
+              f"{figures.position[2] * 1e3:.4f} max; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max")
+        print(f"stated standard uncertainty of that, calibration and measurement together: {stated[0] * 1e3:.4f} mm and {stated[1] * 1e3:.4f} mrad: "
+              f"the error is {figures.position[0] / stated[0]:.2f} and {figures.rotation[0] / stated[1]:.2f} times it")
+    print_unsolved(sampled.measurement)
+
+
+def _driven(calibration, recording, samples, wanted):
+    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
+    from calib.certificate import figures, model_covariance, uncertainty
+    from rig.pose import difference
+
+    frames = recording.exposures.times()[0].tolist()
+    if len(frames) != len(wanted.frame):
+        raise RigError(f"{len(wanted.frame)} poses were wanted, but the recording has {len(frames)} frames")
+    T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
+    stated = samples.total_covariance() + model_covariance(calibration, T)
+    return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
+
+
+def _verification(held, same, sampled, driven):
+    def side(figures):
+        names = ("rms", "p95", "max")
+        return {"position": dict(zip(names, figures.position)), "rotation": dict(zip(names, figures.rotation)), "bias": figures.bias}
+
+    unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
+    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "n": held.after.n,
+            "before": side(held.before), "after": side(held.after),
+            "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
+            "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]},
+            "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(unsolved.items())]}
+    if driven is not None:
+        tree["wanted"] = {**side(driven[0]), "stated_uncertainty": {"position": driven[1][0], "rotation": driven[1][1]}}
+    return tree

@@ -1,0 +1,28 @@
+"""One face's marker sits askew on its cube."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Parameter
+from rig.effects.sheet import moved
+from rig.pose import exp
+
+
+@dataclass(frozen=True, slots=True)
+class FaceMisplacement(Effect):
+    """The marker's pose times a motion: offset (3) m and rotation (3) rad in its own frame, x right, y up, z out."""
+
+    place: str
+    offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0)
+    name: ClassVar = "face_misplacement"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("marker",)
+    parameters: ClassVar = (Parameter("offset", "m", (-0.1, 0.1), (5e-5, 1e-3), 3), Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3))
+    experiment: ClassVar = "see that face from several cameras and poses"
+
+    def attach(self, markers):
+        rows = np.array([self.at(f"marker {number}") for number in markers.id])
+        return replace(markers, T_body_marker=moved(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))

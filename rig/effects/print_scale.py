@@ -1,0 +1,22 @@
+"""The markers were printed too large or too small."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from rig.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class PrintScale(Effect):
+    """Printed side = stated side * (1 + scale), every marker about its own middle."""
+
+    place: str
+    scale: float = 0.0
+    name: ClassVar = "print_scale"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("markers",)
+    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3)),)
+    experiment: ClassVar = "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
+
+    def attach(self, markers):
+        return replace(markers, side=markers.side * (1 + self.scale))

@@ -1,0 +1,41 @@
+"""The drive runs behind its command by a first-order lag."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Parameter
+
+AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
+
+
+@dataclass(frozen=True, slots=True)
+class ServoLag(Effect):
+    """The struts follow y with y' = (command - y) / time_constant, exactly for a command that is linear between knots."""
+
+    place: str
+    time_constant: float = 0.0
+    name: ClassVar = "servo_lag"
+    stage: ClassVar = "command"
+    places: ClassVar = ("strut", "rig")
+    parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2)),)
+    experiment: ClassVar = "expose while moving at several speeds, cameras timed by an external clock: all struts alike is also a time offset"
+
+    def follow(self, path):
+        if self.time_constant <= 0:
+            return path
+        path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
+        return replace(path, lengths=np.where(self.struts() > 0, lag(path.t, path.lengths, self.time_constant), path.lengths))
+
+
+def lag(t, x, time_constant):
+    """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the knots."""
+    out = np.empty_like(x)
+    out[0] = x[0]
+    dt = np.diff(t)
+    fade = np.exp(-dt / time_constant)
+    for k in range(1, len(t)):
+        behind = (x[k] - x[k - 1]) / dt[k - 1] * time_constant if dt[k - 1] > 0 else 0.0
+        out[k] = x[k] - behind + (out[k - 1] - x[k - 1] + behind) * fade[k - 1]
+    return out

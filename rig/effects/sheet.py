@@ -1,0 +1,14 @@
+"""Moving some markers of a batch: what the target effects share."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+
+def moved(poses, rows, motion):
+    """RigidTransform (m,) with motion(T) in place of T at the rows (m,) bool."""
+    if not rows.any():
+        return poses
+    matrices = poses.as_matrix().copy()
+    at = np.flatnonzero(rows)
+    matrices[at] = motion(poses[at]).as_matrix()
+    return RigidTransform.from_matrix(matrices)

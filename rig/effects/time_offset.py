@@ -1,0 +1,25 @@
+"""The cameras' clock is off against the commands': by so much, and if it jumped, from then on."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOffset(Effect):
+    """Exposures logged at t >= since happened at t + offset on the commands' clock."""
+
+    place: str
+    offset: float = 0.0
+    since: float = -1e9
+    name: ClassVar = "time_offset"
+    stage: ClassVar = "command"
+    places: ClassVar = ("clock",)
+    parameters: ClassVar = (Parameter("offset", "s", (-5, 5), (1e-3, 6e-2)), Parameter("since", "s", (-1e9, 1e9), (0, 1e5)))
+    experiment: ClassVar = "expose while moving, at several speeds; an external clock tells it from a lag of all drives"
+
+    def times(self, t):
+        return t + self.offset * (np.asarray(t) >= self.since)

@@ -1,0 +1,26 @@
+"""Struts grow while the machine warms up, with no log to say how warm."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class WarmUp(Effect):
+    """Deviation amplitude * (1 - exp(-t / time_constant)), t from the first command on."""
+
+    place: str
+    amplitude: float = 0.0
+    time_constant: float = 1800.0
+    name: ClassVar = "warm_up"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("strut", "rig")
+    parameters: ClassVar = (Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4)), Parameter("time_constant", "s", (60, 1e5), (600, 7200)))
+    experiment: ClassVar = "the same poses from a cold start to hours later, with fixed cubes in view: a camera's drift moves those too"
+
+    def deviation(self, motion):
+        elapsed = motion.t - motion.path.t[0]
+        return self.struts() * self.amplitude * (1 - np.exp(-elapsed / self.time_constant))[:, None]

@@ -1,0 +1,56 @@
+"""Arrays -> the files of a recording, each written whole or not at all."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from rig.pose import TRIANGLE, vector
+from rig.recording import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS
+
+
+def write_text(path, text):
+    """Write a text file, whole or not at all."""
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def write_table(path, header, rows):
+    """Write a CSV file of a header (names) and rows (lines of text)."""
+    write_text(path, "\n".join([",".join(header), *rows]) + "\n")
+
+
+def write_poses(path, poses):
+    """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
+    header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
+    lines = [",".join(header)]
+    for i, (frame, values) in enumerate(zip(poses.frame, vector(poses.T_base_platform))):
+        cells = [str(frame), *(f"{value:.10f}" for value in values)]
+        if poses.covariance is not None:
+            cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
+        lines.append(",".join(cells))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_corners(path, corners):
+    """Write a corners.csv with sigma and the whole covariance of each corner."""
+    lines = [",".join([*CORNER_COLUMNS, *(("sigma", *CORNER_COVARIANCE) if corners.covariance is not None else ())])]
+    for i, camera in enumerate(corners.camera):
+        cells = [f"{corners.frame[i]},{camera},{corners.marker[i]},{corners.corner[i]},{corners.uv[i, 0]:.5f},{corners.uv[i, 1]:.5f}"]
+        if corners.covariance is not None:
+            c = corners.covariance[i]
+            cells.append(f"{np.sqrt(np.trace(c) / 2):.5f},{c[0, 0]:.4e},{c[0, 1]:.4e},{c[1, 1]:.4e}")
+        lines.append(",".join(cells))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def copy_times(source, target, exposures):
+    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording."""
+    lines = ["frame,t,camera,image"]
+    lines += [f"{frame},{t:.6f},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
+    write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
+    for name in ("commands.csv", "sensors.csv"):
+        if (Path(source) / name).exists():
+            (Path(target) / name).write_bytes((Path(source) / name).read_bytes())

@@ -1,0 +1,75 @@
+"""What stands between a camera and a marker: struts, plates and cubes, worked out from the same solids that the scene draws."""
+
+import numpy as np
+
+from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius
+
+NEAR = 2e-3  # m; what is nearer to the marker than this is the marker itself
+
+
+def hidden(design, T_base_platform, frame, eye, points):
+    """(k,) bool, whether the straight line from an eye to a point is blocked.
+
+    design : Design as it really is; T_base_platform : RigidTransform (F,); frame : (k,) index
+    eye, points : (k, 3) m, base frame
+    """
+    blocked = np.zeros(len(points), bool)
+    length = np.linalg.norm(points - eye, axis=1, keepdims=True)
+    ends = points - (points - eye) / length * NEAR
+    matrix = T_base_platform.as_matrix()
+    if design.mechanism.kind == "hexapod":
+        low = design.mechanism.base_joints
+        high = design.mechanism.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
+        radius = np.linalg.norm(low, axis=1).mean() / 2
+        for i in range(6):
+            middle = low[i] + SHARE * (high[:, i] - low[i])
+            blocked |= _through_rod(eye, ends, np.broadcast_to(low[i], middle.shape)[frame], middle[frame], STRUT_RADIUS * radius)
+            blocked |= _through_rod(eye, ends, middle[frame], high[frame, i], ROD_RADIUS * radius)
+        for body, joints in (("base", design.mechanism.base_joints), ("platform", design.mechanism.platform_joints)):
+            a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if body == "platform" else (eye, ends)
+            blocked |= _through_disc(a, b, joints[:, 2].mean() - 0.002, plate_radius(body, design), PLATE)
+    for target in design.targets:
+        if target.edge is None:
+            continue
+        pose = target.pose.inv().as_matrix()
+        a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if target.body == "platform" else (eye, ends)
+        blocked |= _through_box(a @ pose[:3, :3].T + pose[:3, 3], b @ pose[:3, :3].T + pose[:3, 3], target.edge / 2 - 1e-6)
+    return blocked
+
+
+def _into(matrix, points):
+    """Points (k, 3) in each one's body frame, matrix (k, 4, 4)."""
+    return ((points - matrix[:, :3, 3])[:, None] @ matrix[:, :3, :3])[:, 0]
+
+
+def _through_rod(p, q, a, b, radius):
+    """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision Detection, 5.1.9"""
+    d1, d2, r = q - p, b - a, p - a
+    A, E, F = (np.einsum("ki,ki->k", x, y) for x, y in ((d1, d1), (d2, d2), (d2, r)))
+    C, B = np.einsum("ki,ki->k", d1, r), np.einsum("ki,ki->k", d1, d2)
+    denominator = A * E - B * B
+    s = np.clip(np.where(denominator > 1e-15, (B * F - C * E) / np.where(denominator > 1e-15, denominator, 1), 0), 0, 1)
+    t = np.clip((B * s + F) / E, 0, 1)
+    s = np.clip((B * t - C) / A, 0, 1)
+    gap = p + s[:, None] * d1 - a - t[:, None] * d2
+    return np.einsum("ki,ki->k", gap, gap) < radius**2
+
+
+def _through_disc(p, q, top, radius, thickness):
+    """(k,) bool, whether segments p-q cross the faces z = top or z = top - thickness within a radius of the z axis."""
+    crossed = np.zeros(len(p), bool)
+    for z in (top, top - thickness):
+        dz = q[:, 2] - p[:, 2]
+        s = (z - p[:, 2]) / np.where(np.abs(dz) > 1e-12, dz, 1e-12)
+        at = p[:, :2] + s[:, None] * (q - p)[:, :2]
+        crossed |= (s > 0) & (s < 1) & (np.einsum("ki,ki->k", at, at) < radius**2)
+    return crossed
+
+
+def _through_box(p, q, half):
+    """(k,) bool, whether segments p-q enter the cube |x|, |y|, |z| < half."""
+    d = q - p
+    d = np.where(np.abs(d) > 1e-12, d, 1e-12)
+    one, two = (-half - p) / d, (half - p) / d
+    enter, leave = np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
+    return (enter < leave) & (leave > 0) & (enter < 1)

@@ -1,0 +1,164 @@
+"""A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from rig.design import Sensor
+from rig.effects.base import Effect
+from rig.errors import RigError
+from synthetic import scene
+from synthetic.sensor import expose
+from synthetic.simulation import at_times
+from vision.predict import State, facing, see
+from vision.targets import marker_map
+
+BLEND = 0.25  # px; pictures of a rolling shutter lie no farther apart than this, and rows are blended between two of them
+MOST = 33  # pictures for one exposure of a rolling shutter
+
+
+@dataclass(frozen=True, slots=True)
+class Images:
+    """sensor : Sensor; background : "plain" or "cluttered"; compression : of the PNG, 0..9; processes : 0 for one per core."""
+
+    sensor: Sensor
+    background: str = "plain"
+    compression: int = 1
+    processes: int = 0
+
+
+def render(simulation, out, images, seed, progress=None):
+    """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
+
+    Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
+    """
+    check_drawable(simulation.world.effects)
+    world, plan = simulation.world, simulation.plan
+    for camera in world.true.cameras:
+        (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
+    work = [(f, i) for f in range(len(plan.t)) for i in range(len(world.true.cameras))]
+    count = min(images.processes or len(os.sched_getaffinity(0)), len(work))
+    if count <= 1:
+        _start(simulation, out, images, seed)
+        for done, item in enumerate(work, 1):
+            _draw(item)
+            if progress:
+                progress(done, len(work))
+        _state.pop("renderer").close()
+        return
+    before = os.environ.get("LP_NUM_THREADS")
+    os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
+    try:
+        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (simulation, out, images, seed)) as pool:
+            futures = [pool.submit(_draw, item) for item in work]
+            try:
+                for done, future in enumerate(as_completed(futures), 1):
+                    future.result()
+                    if progress:
+                        progress(done, len(work))
+            finally:
+                for future in futures:
+                    future.cancel()
+    finally:
+        os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
+
+
+def check_drawable(effects):
+    """Raise RigError for effects that act on corners alone and that a picture cannot show."""
+    for effect in effects:
+        if type(effect).bend is not Effect.bend or type(effect).print_ is not Effect.print_:
+            raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
+
+
+_state = {}  # of a drawing process: what it was started with
+
+
+def _start(simulation, out, images, seed):
+    from synthetic.render import Renderer
+
+    design = simulation.world.true
+    for effect in simulation.world.effects:
+        design = replace(design, cameras=tuple(effect.camera(camera) for camera in design.cameras))
+    markers = marker_map(design)
+    for effect in simulation.world.effects:
+        markers = effect.attach(markers)
+    parts = scene.parts(design, images.background, np.random.default_rng(seed), markers)
+    shifts = _sub_exposures(images.sensor)
+    poses = [simulation.run.T_base_platform if shift == 0 else at_times(simulation, simulation.plan.t + shift) for shift in shifts]
+    cv2.setNumThreads(1)
+    _state.update(simulation=simulation, design=design, out=out, images=images, seed=seed, renderer=Renderer(parts, design),
+                  exposures=list(zip(shifts, poses)))
+
+
+def _draw(item):
+    """Draw and write the image of (frame, camera index)."""
+    f, i = item
+    images, camera, seed = _state["images"], _state["design"].cameras[i], _state["seed"]
+    rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
+    radiance = sum(_picture(camera, i, f, shift, T[f]) for shift, T in _state["exposures"]) / np.float32(len(_state["exposures"]))
+    image = expose(radiance, images.sensor, rng)
+    path = _state["out"] / "images" / camera.name / f"{f:05d}.png"
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])
+
+
+def _sub_exposures(sensor):
+    """Seconds before and after the middle of the exposure at which pictures are taken and averaged."""
+    if sensor.exposure <= 0 or sensor.exposures <= 1:
+        return [0.0]
+    return (((np.arange(sensor.exposures) + 0.5) / sensor.exposures - 0.5) * sensor.exposure).tolist()
+
+
+def _picture(camera, i, f, shift, T):
+    """Radiance seen by a camera, the exposure shifted (s), the platform at T; rows of a rolling shutter at their own times."""
+    s = _state["simulation"]
+    t = s.plan.t[f] + shift
+    row_time = _row_time(camera, s.world.effects)
+    if not row_time:
+        return _view(camera, t, T)
+    first, last = -camera.height / 2 * row_time, (camera.height / 2 - 1) * row_time
+    steps = min(MOST, 1 + int(np.ceil(_travel(i, at_times(s, [t + first, t + last])) / BLEND)))
+    if steps == 1:
+        return _view(camera, t, T)
+    moments = t + np.linspace(first, last, steps)
+    pictures = np.stack([_view(camera, moment, pose) for moment, pose in zip(moments, at_times(s, moments))])
+    place = np.arange(camera.height) / max(camera.height - 1, 1) * (steps - 1)
+    low = np.minimum(place.astype(int), steps - 2)
+    share = (place - low).astype(np.float32)[:, None]
+    rows = np.arange(camera.height)
+    return (1 - share) * pictures[low, rows] + share * pictures[low + 1, rows]
+
+
+def _row_time(camera, effects):
+    """s from one row to the next, as stated and by effects."""
+    stated = camera.row_time if camera.shutter == "rolling" else 0.0
+    return stated + sum(float(effect.late(camera, camera.height / 2 + 1.0)) for effect in effects)
+
+
+def _view(camera, t, T):
+    """Radiance seen by a camera at time t (s), its mount and focal length as the effects have them then."""
+    sensors = _state["simulation"].sensors
+
+    def channel(*names):
+        return np.array([sensors.at([t], *names)[0]])
+
+    mount, focal = np.zeros(6), 1.0
+    for effect in _state["simulation"].world.effects:
+        mount = mount + effect.mount(camera, np.array([t]), channel)[0]
+        focal *= float(effect.focal(camera, np.array([t]), channel)[0])
+    return _state["renderer"].draw(camera.name, T, mount if mount.any() else None, focal)
+
+
+def _travel(i, T):
+    """px that the fastest corner in view of camera i moves between two poses (2,)."""
+    design = _state["design"]
+    state, markers = State(design.cameras, T, {}), marker_map(design)
+    found = facing(state, markers)
+    found = found.take((found.camera == i) & (found.frame == 0))
+    if not len(found.frame):
+        return 0.0
+    later = replace(found, frame=np.ones_like(found.frame))
+    return float(np.abs(see(later, state, markers) - see(found, state, markers)).max())

@@ -1,0 +1,122 @@
+"""A world under a plan -> a recording folder, with images or with corners; the truth goes elsewhere."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig import machine
+from rig.plan import logged
+from rig.recording import Corners, Sensors
+from rig.writing import write_corners, write_table, write_text
+from synthetic import world as worlds
+from synthetic.occlusion import hidden
+from vision.predict import State, facing, inside, see
+from vision.targets import marker_map
+
+STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A recording before it is written.
+
+    world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : machine.Run at the exposures
+    """
+
+    world: object
+    plan: object
+    sensors: Sensors
+    log: Sensors
+    run: machine.Run
+
+
+def simulate(world, plan, rng):
+    """Simulation of a world under a plan: the weather is drawn, the machine run. Raises what `machine.run` raises."""
+    duration = plan.commands.t[-1]
+    true, log = worlds.weather(duration, rng, len(plan.commands.values[0]))
+    sensors, log = logged(plan, true), logged(plan, log)
+    rolls = any(c.shutter == "rolling" for c in world.true.cameras) or any(e.name == "rolling_shutter" for e in world.effects)
+    run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=rolls)
+    return Simulation(world, plan, sensors, log, run)
+
+
+def sight(simulation, steepest=STEEPEST):
+    """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
+    world, run = simulation.world, simulation.run
+    state = State(world.true.cameras, run.T_base_platform, {})
+    markers = marker_map(world.true)
+    found = facing(state, markers, steepest)
+    uv = see(found, state, markers, simulation.plan.t, world.effects, simulation.sensors, run)
+    whole = inside(found, uv, state.cameras)
+    found, uv = found.take(whole), uv[whole]
+    clear = ~_covered(world.true, run.T_base_platform, markers, found)
+    return found.take(clear), uv[clear]
+
+
+def _covered(design, T, markers, found):
+    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden."""
+    square = markers.corners[found.marker]
+    points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
+    matrix = T.as_matrix()[found.frame]
+    on = markers.on_platform[found.marker]
+    base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
+    eyes = np.array([camera.pose.translation for camera in design.cameras])[found.camera]
+    count = points.shape[1]
+    blocked = hidden(design, T, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
+    return blocked.reshape(-1, count).any(axis=1)
+
+
+def corners(simulation, noise, rng):
+    """recording.Corners of a simulation with Gaussian noise (px) on each coordinate."""
+    found, uv = sight(simulation)
+    names = [camera.name for camera in simulation.world.true.cameras]
+    order = np.lexsort((found.marker, found.camera, found.frame))
+    found, uv = found.take(order), uv[order].reshape(-1, 2)
+    ids = marker_map(simulation.world.stated).id
+    return Corners(np.repeat(found.frame, 4), [names[i] for i in np.repeat(found.camera, 4)], np.repeat(ids[found.marker], 4),
+                   np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
+
+
+def write(simulation, out, text, rng, noise=None, images=None, progress=None):
+    """Write a recording folder as its owner would have it.
+
+    out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
+    progress : called with (done, of) pictures, or None
+    """
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    plan, cameras, axes = simulation.plan, simulation.world.true.cameras, simulation.world.stated.mechanism.axes
+    write_text(out / "rig.toml", text)
+    write_table(out / "commands.csv", ("t", *axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
+                                                      for t, values in zip(plan.commands.t, plan.commands.values)])
+    write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
+                 [f"{f},{t:.4f},{c.name}," + (f"images/{c.name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t) for c in cameras])
+    log = simulation.log
+    write_table(out / "sensors.csv", ("t", *log.channels), [f"{t:.3f}," + ",".join(f"{values[i]:.3f}" for values in log.channels.values())
+                                                             for i, t in enumerate(log.t)])
+    if images is None:
+        write_corners(out / "corners.csv", corners(simulation, noise, rng))
+    else:
+        from synthetic.pictures import render
+
+        render(simulation, out, images, int(rng.integers(1 << 62)), progress)
+
+
+def truth_corners(simulation):
+    """Rows [frame, camera, marker, corner, u, v] of every marker seen whole, for a truth file."""
+    c = corners(simulation, 0.0, np.random.default_rng(0))
+    return [[int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]
+            for f, name, m, k, (u, v) in zip(c.frame, c.camera, c.marker, c.corner, c.uv)]
+
+
+def at_times(simulation, t):
+    """T_base_platform : RigidTransform (n,) of the simulated machine at other times t (n,) s, as the cameras log them."""
+    order = np.argsort(t, kind="stable")
+    run = machine.run(simulation.world.true, simulation.plan.commands, np.asarray(t)[order], simulation.world.effects, simulation.sensors)
+    matrix = np.empty((len(order), 4, 4))
+    matrix[order] = run.T_base_platform.as_matrix()
+    return RigidTransform.from_matrix(matrix)
+
+
