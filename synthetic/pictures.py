@@ -40,7 +40,8 @@ def render(simulation, out, images, seed, progress=None):
     world, plan = simulation.world, simulation.plan
     for camera in world.true.cameras:
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
-    work = [(f, i) for f in range(len(plan.t)) for i in range(len(world.true.cameras))]
+    # camera by camera, since a process that changes camera makes a new framebuffer
+    work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
     count = min(images.processes or len(os.sched_getaffinity(0)), len(work))
     if count <= 1:
         _start(simulation, out, images, seed)

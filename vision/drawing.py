@@ -18,7 +18,7 @@ SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
 def frame_picture(recording, frame, enlarge=200.0, progress=None):
-    """([(camera name, (height, width, 3) BGR picture) ..], Measurement) of one frame, measured by itself, lenses held.
+    """([(camera name, (height, width, 3) BGR picture) ..], Measurement) of one frame, measured by itself.
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
     Raises RigError for a frame that the recording lacks, and what measuring raises
@@ -26,7 +26,7 @@ def frame_picture(recording, frame, enlarge=200.0, progress=None):
     if frame not in recording.exposures.frame:
         raise RigError(f"{recording.folder} has no frame {frame}; it has {recording.exposures.frame.min()} .. {recording.exposures.frame.max()}")
     alone = _only(recording, frame)
-    measured, _ = measure_recording(alone, free=("poses",), progress=progress)
+    measured, _ = measure_recording(alone, progress=progress)
     pictures = []
     for i, camera in enumerate(measured.design.cameras):
         names = [n for n, c in zip(alone.exposures.image, alone.exposures.camera) if c == camera.name]
