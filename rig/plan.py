@@ -23,7 +23,7 @@ UNSTATED_SPEED = 0.02  # m/s where the design states none
 STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 FILL = 0.8  # of the strokes that plans use
-STANDARD = "sobol:220,moving:80,ladder,payload:20"
+STANDARD = "moving:30,sobol:120,ladder,moving:30,payload:20,sobol:100,moving:30"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,12 +46,14 @@ def sight(simulation, steepest=STEEPEST):
     """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
     world, run = simulation.world, simulation.run
     state = State(world.true.cameras, run.T_base_platform, {})
-    markers = marker_map(world.true)
-    found = facing(state, markers, steepest)
-    uv = see(found, state, markers, simulation.plan.t, world.effects, simulation.sensors, run)
+    stated = real = marker_map(world.true)
+    for effect in world.effects:
+        real = effect.attach(real)
+    found = facing(state, real, steepest)
+    uv = see(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, run)
     whole = inside(found, uv, state.cameras)
     found, uv = found.take(whole), uv[whole]
-    clear = ~_covered(world.true, run.T_base_platform, markers, found)
+    clear = ~_covered(world.true, run.T_base_platform, real, found)
     return found.take(clear), uv[clear]
 
 

@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from rig import design_file, recording, writing
 from rig.mechanisms import hexapod
@@ -202,3 +203,74 @@ def test_bars_on_a_terminal_and_none_in_a_pipe(tmp_path):
         pass  # the terminal closed: all has been read
     assert process.wait(timeout=60) == 0
     assert b"reading images" in seen and b"%" in seen
+
+
+def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
+    run("design", "--radius", "0.25", "--cameras", "2", "--size", "800x600", "--out", tmp_path / "rig.toml")
+    assert len(design_file.load(tmp_path / "rig.toml").cameras) == 2
+    done = run("simulate", tmp_path / "rig.toml", "--plan", "sobol:12", "--effect", "backlash:strut3:gap=4e-5", "--noise", "0.03", "--seed", "5",
+               "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    assert "12 frames" in done.stdout and "backlash at strut 3" in done.stdout
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["effects"][0]["parameters"] == {"gap": 4e-5} and len(truth["poses"]) == 12 and truth["noise_px"] == 0.03
+    run("measure", tmp_path / "rec", "--out", tmp_path / "out")
+    poses = recording.load_poses(tmp_path / "out" / "poses.csv")
+    errors = difference(poses.T_base_platform, RigidTransform.from_matrix(np.array(truth["poses"]).reshape(-1, 4, 4)))
+    assert np.abs(errors[:, :3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("extra, says", [
+    (("--plan", "sobl"), "no part 'sobl'"), (("--effect", "backlsh:3"), "'backlash' meant"), (("--noise", "-1"), "at least 0 px"),
+    (("--images", "--effect", "edge_bias:cameras:bias=0.1"), "not drawn"), (("--images", "--bits", "10"), "8 or 12"),
+    (("--machine", "nowhere.json"), "no such file"),
+])
+def test_what_cannot_be_simulated_is_said_and_leaves_nothing(tmp_path, rig_text, extra, says):
+    (tmp_path / "rig.toml").write_text(rig_text)
+    assert says in run("simulate", tmp_path / "rig.toml", *extra, "--out", tmp_path / "rec", ok=False).stderr
+    assert not (tmp_path / "rec").exists()
+
+
+def test_a_frame_is_drawn(tmp_path):
+    done = run("view", BENCH / "check", "--frame", "2", "--out", tmp_path / "v.png")
+    import cv2
+
+    picture = cv2.imread(str(tmp_path / "v.png"))
+    assert picture.shape == (384, 3 * 484, 3) and "platform at" in done.stdout and "residual" in done.stdout
+    colours = {tuple(c) for c in picture.reshape(-1, 3)[::7].tolist()}
+    assert any(g > 150 and r < 130 and b < 130 for b, g, r in colours)  # markers are outlined in green
+    assert "no frame 77" in run("view", BENCH / "check", "--frame", "77", "--out", tmp_path / "v.png", ok=False).stderr
+
+
+def test_nets_are_true_to_scale(tmp_path):
+    """The sheet is rasterised and its markers read back: the black border's side and the page are as stated."""
+    run("design", "--radius", "0.15", "--cubes", "2", "--out", tmp_path / "rig.toml")
+    done = run("print", tmp_path / "rig.toml", "--out", tmp_path / "s.pdf")
+    design = design_file.load(tmp_path / "rig.toml")
+    assert done.stdout.count("target ") == 4 and (tmp_path / "s.pdf").read_bytes().startswith(b"%PDF")
+    import cv2
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from synthetic import sheets
+
+    target = design.targets[0]
+    (_, width, height, draw), = sheets._pages(target)
+    figure = Figure(figsize=(width / 25.4, height / 25.4), dpi=254)  # 10 px to the millimetre
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, width), ylim=(0, height))
+    draw(axes, 0, 0)
+    figure.canvas.draw()
+    grey = np.asarray(figure.canvas.buffer_rgba())[..., 0]
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(np.ascontiguousarray(grey))
+    assert sorted(ids.ravel().tolist()) == sorted(target.ids)
+    places = {}
+    for number, quad in zip(ids.ravel().tolist(), corners):
+        sides = np.linalg.norm(np.roll(quad[0], -1, axis=0) - quad[0], axis=1)
+        np.testing.assert_allclose(sides / 10, target.marker * 1e3, atol=0.35)
+        assert quad[0][0][1] < quad[0][2][1] and quad[0][0][0] < quad[0][1][0]  # every face stands upright in the net
+        places[dict((n, f) for f, n in target.faces)[number]] = quad[0].mean(axis=0) / 10
+    edge = target.edge * 1e3
+    np.testing.assert_allclose(places["+y"] - places["+x"], [edge, 0], atol=0.3)  # right of +x, seen from outside, lies +y
+    np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)

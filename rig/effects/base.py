@@ -159,6 +159,6 @@ def check(effect):
         if parameter.size and len(value) != parameter.size:
             raise ValueError(f"{effect.name}: {parameter.name} has {parameter.size} numbers, got {len(value)}")
         low, high = parameter.bounds
-        if not (np.isfinite(value).all() and (value >= low).all() and (value <= high).all()):
+        if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
             raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {value.tolist()}")
     return effect

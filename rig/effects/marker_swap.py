@@ -25,11 +25,11 @@ class MarkerSwap(Effect):
     experiment: ClassVar = "look at the cube"
 
     def attach(self, markers):
-        number = int(self.place.split(" ")[1])
-        ids = markers.id.copy()
-        if self.other >= 0:
-            a, b = markers.id == number, markers.id == int(self.other)
-            ids[a], ids[b] = int(self.other), number
-        rows = ids == number
+        a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
+        b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
+        order = np.arange(len(markers.id))
+        if len(a) and len(b):
+            order[a], order[b] = b, a
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
-        return replace(markers, id=ids, T_body_marker=moved(markers.T_body_marker, rows, lambda T: T * spin))
+        poses = moved(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
+        return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order])

@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.bench import forward, way
+from tests.bench import absent, forward, way
 
-ALL = {"way": way, "forward": forward}
+ALL = {"way": way, "forward": forward, "absent": absent}
 
 
 def main():

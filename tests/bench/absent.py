@@ -1,0 +1,98 @@
+"""The rig that is not there: rendered corners against exact projection, speed of simulation, the closed loop."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from rig import design_file, layout, plan
+from rig.design import Sensor
+from rig.effects.parse import parse
+from synthetic import scene, simulation, world
+from synthetic.sensor import expose
+from tests.conftest import ROOT
+from tests.rig.test_effects import SOME
+from tests.synthetic.test_render import LENSES, drawn_errors, wall
+
+RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
+
+
+def rows():
+    """Yield (figure, reached, wanted)."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        text = layout.layout(0.3)
+        (folder / "rig.toml").write_text(text)
+        design = design_file.load(folder / "rig.toml")
+        yield from _accuracy(design)
+        yield from _speed(folder, design)
+        yield from _corner_level(design, folder, text)
+    yield from _closed_loop()
+
+
+def _accuracy(design):
+    tilts = np.radians([0, 10, 20, 30, 40, 50, 60, 65])
+    errors = np.concatenate([drawn_errors(wall(design, tilt, lens)) for lens in LENSES.values() for tilt in tilts]).reshape(-1, 2)
+    figure = f"rendered corners by edge lines against projection, {len(LENSES)} lenses, tilt to 65 deg, N = {len(errors)}"
+    yield figure + ": bias", f"{np.abs(errors.mean(axis=0)).max():.4f} px", "<= 0.01"
+    yield figure + ": RMS per axis", f"{np.sqrt(np.mean(errors**2)):.4f} px", "<= 0.02"
+
+
+def _speed(folder, design):
+    start = time.perf_counter()
+    look = ["--images", "--blur", "0.5", "--read-noise", "1.5"]
+    subprocess.run([*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"], check=True, capture_output=True)
+    seconds = time.perf_counter() - start
+    yield "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included", f"{300 / seconds:.1f} images/s", ">= 8"
+    from synthetic.render import Renderer
+
+    renderer = Renderer(scene.parts(design), design)
+    rng, sensor, parts = np.random.default_rng(0), Sensor(blur=0.5, read_noise=1.5), {"draw": [], "lens": [], "sensor": [], "PNG": []}
+    pinhole = renderer.cameras["cam0"]
+    picture = np.zeros((pinhole.size[1], pinhole.size[0]), np.uint8)
+    for _ in range(8):
+        marks = [time.perf_counter()]
+        pinhole.bend(picture)
+        marks.append(time.perf_counter())
+        radiance = renderer.draw("cam0", design.mechanism.home)
+        marks.append(time.perf_counter())
+        image = expose(radiance, sensor, rng)
+        marks.append(time.perf_counter())
+        cv2.imwrite(str(folder / "x.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        marks.append(time.perf_counter())
+        for key, spent in zip(("lens", "draw", "sensor", "PNG"), np.diff(marks)):
+            parts[key].append(spent)
+    renderer.close()
+    medians = {key: 1e3 * np.median(values) for key, values in parts.items()}
+    medians["draw"] -= medians["lens"]  # drawing ends with the lens
+    yield "where an image's time goes, one process, median of 8", ", ".join(f"{key} {value:.0f}" for key, value in medians.items()) + " ms", ""
+
+
+def _corner_level(design, folder, text):
+    start = time.perf_counter()
+    rng = np.random.default_rng(1)
+    effects = tuple(parse(f"{name}:{place}") for name, place in SOME.items() if name != "marker_swap")
+    secret = world.draw(design, rng, effects=effects)
+    done = simulation.simulate(secret, plan.build(design, "sobol:190,moving:154,payload:12", 1), rng)
+    simulation.write(done, folder / "corners", text, rng, noise=0.04)
+    count = f"{len(done.plan.t)} frames x 3 cameras at corner level, {len(effects)} effects at once"
+    yield count, f"{time.perf_counter() - start:.1f} s", "<= 5 s"
+
+
+def _closed_loop():
+    subprocess.run(["sh", ".ci/demo"], cwd=ROOT, check=True, capture_output=True)
+    loop = ROOT / "out" / "demo"
+    found = {}
+    for name in ("before", "after"):
+        command = [*RIG, "verify", loop / "calibration.json", loop / name, "--wanted", loop / "wanted.csv", "--json"]
+        found[name] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["wanted"]
+    before, after = found["before"]["position"]["rms"], found["after"]["position"]["rms"]
+    yield "closed loop: pose error before / after, RMS, as measured", f"{before * 1e6:.0f} / {after * 1e6:.1f} um = {before / after:.0f} x", ">= 50 x"
+    ratio = [after / found["after"]["stated_uncertainty"]["position"],
+             found["after"]["rotation"]["rms"] / found["after"]["stated_uncertainty"]["rotation"]]
+    yield "closed loop: error after over its stated standard uncertainty", f"{ratio[0]:.2f} position, {ratio[1]:.2f} rotation", "<= 2"

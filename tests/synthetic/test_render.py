@@ -1,0 +1,101 @@
+"""Pictures show corners where the lens model puts them, over lenses and tilts; and say plainly where they cannot be drawn."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from rig.design import Camera, Marker, Target
+from rig.errors import MissingLibrary
+from rig.pose import pose
+from synthetic import scene
+from tests.synthetic.edges import edge_corners
+from vision.predict import State, facing, see
+from vision.targets import marker_map
+
+render = pytest.importorskip("synthetic.render")
+
+
+def wall(design, tilt, distortion, size=0.11):
+    """A design with one camera and a wall of markers one metre ahead, each tilted about its own axis."""
+    rng = np.random.default_rng(int(tilt * 100))
+    listed = []
+    for k, (i, j) in enumerate([(i, j) for i in range(4) for j in range(3)]):
+        axis = rng.normal(size=2)
+        turn = np.r_[axis / np.linalg.norm(axis) * tilt, 0]
+        place = pose([0.16 * (i - 1.5), 0.17 * (j - 1), 1.0], [np.pi, 0, 0]) * pose([0, 0, 0], turn) * pose([0, 0, 0], [0, 0, rng.uniform(0, 6)])
+        listed.append(Marker(k, size, place, size / 7))
+    camera = Camera("c", 1280, 1024, [[1500.0, 0, 645.3], [0, 1500, 508.7], [0, 0, 1]], np.array(distortion), RigidTransform.identity())
+    return replace(design, cameras=(camera,), targets=(Target("wall", "base", "DICT_5X5_100", listed=tuple(listed)),))
+
+
+def drawn_errors(rig):
+    """(k, 4, 2) px, corners by edge lines in the drawn picture less exact projection."""
+    home = rig.mechanism.home
+    parts = [part for part in scene.parts(rig) if part.body in ("base", "world") and (part.uv is not None or part.normal is None
+                                                                                        or abs(part.centre[2]) > 0.3)]
+    renderer = render.Renderer(parts, rig)
+    try:
+        image = renderer.draw("c", home)
+    finally:
+        renderer.close()
+    state, markers = State(rig.cameras, RigidTransform.concatenate([home]), {}), marker_map(rig)
+    found = facing(state, markers, 0.3)
+    errors = []
+    for exact in see(found, state, markers):
+        seen = edge_corners(image.astype(float), exact, rig.cameras[0])
+        if seen is not None:
+            errors.append(seen - exact)
+    return np.array(errors)
+
+
+LENSES = {"none": [0.0, 0, 0, 0, 0], "barrel": [-0.3, 0.12, 5e-4, -5e-4, 0.0], "pincushion": [0.15, -0.05, 0, 0, 0.0],
+          "fourteen terms": [-0.2, 0.1, 1e-4, 2e-4, 0.01, 0.05, 0.02, 0, 1e-3, 0, -1e-3, 0, 0.01, -0.01]}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_corners_are_where_the_lens_puts_them(design, name):
+    errors = [drawn_errors(wall(design, tilt, LENSES[name])) for tilt in np.radians([0, 20, 40, 55, 65])]
+    assert all(len(e) >= 6 for e in errors)
+    everything = np.concatenate(errors).reshape(-1, 2)
+    assert np.abs(everything.mean(axis=0)).max() < 0.01
+    assert np.sqrt(np.mean(everything**2)) < 0.02
+
+
+def test_struts_hide_markers(design):
+    parts = scene.parts(design)
+    pictures = []
+    for chosen in (parts, [part for part in parts if not part.body.startswith("strut")]):
+        renderer = render.Renderer(chosen, design)  # one at a time: a process has one EGL display
+        pictures.append(renderer.draw("cam0", design.mechanism.home))
+        renderer.close()
+    with_struts, without = pictures
+    assert (np.abs(with_struts - without) > 0.05).mean() > 0.01
+
+
+def test_each_camera_has_its_own_resolution(design):
+    small = replace(design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]]))
+    rig = replace(design, cameras=(design.cameras[0], small))
+    renderer = render.Renderer(scene.parts(rig, "cluttered", np.random.default_rng(0)), rig)
+    try:
+        assert renderer.draw("cam0", rig.mechanism.home).shape == (1024, 1280)
+        assert renderer.draw("cam1", rig.mechanism.home).shape == (256, 320)
+    finally:
+        renderer.close()
+
+
+def test_without_opengl_one_clear_line(tmp_path):
+    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.render import _pyrender\nfrom rig.errors import MissingLibrary\n"
+            "try: _pyrender()\nexcept MissingLibrary as e: print(e)")
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+    assert "apt-get install -y libegl1 libgl1" in out and out.count("\n") == 1
+    assert issubclass(MissingLibrary, Exception)
+
+
+def test_a_lens_that_cannot_be_undone_is_refused(design):
+    folding = replace(design.cameras[0], distortion=np.array([-3.0, 0, 0, 0, 0]))
+    with pytest.raises(ValueError, match="cannot be undone"):
+        render.Renderer([], replace(design, cameras=(folding,)))
