@@ -12,6 +12,7 @@ from rig.design import Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
 from synthetic import scene
+from synthetic.render import Renderer, opengl
 from synthetic.sensor import expose
 from synthetic.simulation import at_times
 from vision.predict import State, facing, see
@@ -37,6 +38,7 @@ def render(simulation, out, images, seed, progress=None):
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
     """
     check_drawable(simulation.world.effects)
+    opengl()
     world, plan = simulation.world, simulation.plan
     for camera in world.true.cameras:
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
@@ -79,8 +81,13 @@ _state = {}  # of a drawing process: what it was started with
 
 
 def _start(simulation, out, images, seed):
-    from synthetic.render import Renderer
+    _state.clear()
+    _state.update(simulation=simulation, out=out, images=images, seed=seed)
 
+
+def _prepare():
+    """Make this process's scene, renderer and poses; here and not at its start, so that what fails is told to the caller."""
+    simulation, images, seed = _state["simulation"], _state["images"], _state["seed"]
     design = simulation.world.true
     for effect in simulation.world.effects:
         design = replace(design, cameras=tuple(effect.camera(camera) for camera in design.cameras))
@@ -91,13 +98,14 @@ def _start(simulation, out, images, seed):
     shifts = _sub_exposures(images.sensor)
     poses = [simulation.run.T_base_platform if shift == 0 else at_times(simulation, simulation.plan.t + shift) for shift in shifts]
     cv2.setNumThreads(1)
-    _state.update(simulation=simulation, design=design, out=out, images=images, seed=seed, renderer=Renderer(parts, design),
-                  exposures=list(zip(shifts, poses)))
+    _state.update(design=design, renderer=Renderer(parts, design), exposures=list(zip(shifts, poses)))
 
 
 def _draw(item):
     """Draw and write the image of (frame, camera index)."""
     f, i = item
+    if "renderer" not in _state:
+        _prepare()
     images, camera, seed = _state["images"], _state["design"].cameras[i], _state["seed"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
     radiance = sum(_picture(camera, i, f, shift, T[f]) for shift, T in _state["exposures"]) / np.float32(len(_state["exposures"]))

@@ -29,7 +29,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
 
-def _pyrender():
+def opengl():
     """The pyrender module without its viewer. Raises MissingLibrary naming the packages where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
@@ -40,7 +40,7 @@ def _pyrender():
         import OpenGL.GL  # noqa: F401  (fails first, and plainly, where the library is missing)
         import pyrender
     except (ImportError, OSError, AttributeError) as error:
-        raise MissingLibrary(f"rendering needs OpenGL through EGL, which is not here ({error}); as root: apt-get install -y {PACKAGES}") from None
+        raise MissingLibrary(f"rendering needs OpenGL through EGL, which cannot be loaded here; as root: apt-get install -y {PACKAGES}") from error
     return pyrender
 
 
@@ -48,7 +48,7 @@ class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
     def __init__(self, parts, design, finer=FINER, samples=SAMPLES):
-        self.pyrender = _pyrender()
+        self.pyrender = opengl()
         self.parts, self.mechanism, self.finer, self.samples = parts, design.mechanism, finer, samples
         self.cameras = {camera.name: _Pinhole(camera, finer, samples) for camera in design.cameras}
         self.scene = self.pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])

@@ -22,6 +22,18 @@ def shared():
 
 
 @pytest.fixture(scope="session")
+def opengl():
+    """Skips a test that draws pictures where there is no OpenGL; `rig simulate --images` says there what to install."""
+    from rig.errors import MissingLibrary
+    from synthetic import render
+
+    try:
+        render.opengl()
+    except MissingLibrary as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
 def rig_text():
     return layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4)
 

@@ -52,7 +52,10 @@ def run(arguments):
     from synthetic.pictures import Images, check_drawable
 
     if arguments.images:
+        from synthetic.render import opengl
+
         check_drawable(effects)
+        opengl()
     rng = np.random.default_rng(arguments.seed)
     if arguments.machine:
         secret = world.from_truth(arguments.machine, design)

@@ -11,12 +11,11 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import Camera, Marker, Target
 from rig.errors import MissingLibrary
 from rig.pose import pose
-from synthetic import scene
+from synthetic import render, scene
 from tests.synthetic.edges import edge_corners
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
-render = pytest.importorskip("synthetic.render")
 
 
 def wall(design, tilt, distortion, size=0.11):
@@ -57,7 +56,7 @@ LENSES = {"none": [0.0, 0, 0, 0, 0], "barrel": [-0.3, 0.12, 5e-4, -5e-4, 0.0], "
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_corners_are_where_the_lens_puts_them(design, name):
+def test_corners_are_where_the_lens_puts_them(design, name, opengl):
     errors = [drawn_errors(wall(design, tilt, LENSES[name])) for tilt in np.radians([0, 20, 40, 55, 65])]
     assert all(len(e) >= 6 for e in errors)
     everything = np.concatenate(errors).reshape(-1, 2)
@@ -65,7 +64,7 @@ def test_corners_are_where_the_lens_puts_them(design, name):
     assert np.sqrt(np.mean(everything**2)) < 0.02
 
 
-def test_struts_hide_markers(design):
+def test_struts_hide_markers(design, opengl):
     parts = scene.parts(design)
     pictures = []
     for chosen in (parts, [part for part in parts if not part.body.startswith("strut")]):
@@ -76,7 +75,7 @@ def test_struts_hide_markers(design):
     assert (np.abs(with_struts - without) > 0.05).mean() > 0.01
 
 
-def test_each_camera_has_its_own_resolution(design):
+def test_each_camera_has_its_own_resolution(design, opengl):
     small = replace(design.cameras[1], width=320, height=256, matrix=np.array([[400.0, 0, 160], [0, 400, 128], [0, 0, 1]]))
     rig = replace(design, cameras=(design.cameras[0], small))
     renderer = render.Renderer(scene.parts(rig, "cluttered", np.random.default_rng(0)), rig)
@@ -88,14 +87,14 @@ def test_each_camera_has_its_own_resolution(design):
 
 
 def test_without_opengl_one_clear_line(tmp_path):
-    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.render import _pyrender\nfrom rig.errors import MissingLibrary\n"
-            "try: _pyrender()\nexcept MissingLibrary as e: print(e)")
+    code = ("import sys\nsys.modules['OpenGL.GL'] = None\nfrom synthetic.render import opengl\nfrom rig.errors import MissingLibrary\n"
+            "try: opengl()\nexcept MissingLibrary as e: print(e)")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
     assert "apt-get install -y libegl1 libgl1" in out and out.count("\n") == 1
     assert issubclass(MissingLibrary, Exception)
 
 
-def test_a_lens_that_cannot_be_undone_is_refused(design):
+def test_a_lens_that_cannot_be_undone_is_refused(design, opengl):
     folding = replace(design.cameras[0], distortion=np.array([-3.0, 0, 0, 0, 0]))
     with pytest.raises(ValueError, match="cannot be undone"):
         render.Renderer([], replace(design, cameras=(folding,)))

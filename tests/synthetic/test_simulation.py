@@ -79,7 +79,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
     assert blocked([0, 0, -0.5], [0.1, 0, 0.1])  # through the base
 
 
-def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path):
+def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
     s = simulation.simulate(world.draw(design, rng), plan.build(design, "sobol:1"), rng)
     simulation.write(s, tmp_path / "rec", rig_text, rng, images=pictures.Images(Sensor(blur=0.5, read_noise=0.5), "cluttered", processes=1))
@@ -91,11 +91,12 @@ def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_
     assert (np.linalg.norm(errors, axis=1) > 0.5).mean() < 0.01
 
 
-def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path):
+def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl):
     rng = np.random.default_rng(3)
     s = simulation.simulate(world.draw(design, rng), plan.build(design, "moving:1"), rng)
     images = pictures.Images(Sensor(exposure=0.1, exposures=3), processes=1)
     pictures._start(s, tmp_path, images, 5)
+    pictures._prepare()
     try:
         exposures = pictures._state["exposures"]
         assert [round(shift, 4) for shift, _ in exposures] == [-0.0333, 0.0, 0.0333]
