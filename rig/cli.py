@@ -10,6 +10,7 @@ from rig.errors import RigError
 COMMANDS = {
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
+    "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",

@@ -30,7 +30,8 @@ class Measurement:
     unsolved : {frame number: reason}; observations : all corners, covariance scaled to the scatter seen
     inliers : (n,) bool; residuals : (n, 2) px, NaN where the frame is unsolved
     noise : px, standard deviation of a corner per axis; standing : px, the part of a corner's error that comes back in every
-    frame where neither camera nor marker moves; factor : what stated covariances were multiplied by
+    frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners with that
+    allowed for; factor : what stated covariances were multiplied by
     adjustment : the last Adjustment, for its shared unknowns
     """
 
@@ -45,6 +46,7 @@ class Measurement:
     residuals: np.ndarray
     noise: float
     standing: float
+    weights: np.ndarray
     factor: float
     adjustment: Adjustment
 
@@ -85,7 +87,7 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
                        result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
                        {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, inliers, residuals,
-                       float(noise), standing, float(scale**2), result)
+                       float(noise), standing, weights, float(scale**2), result)
 
 
 def _filled(poses, count):

@@ -16,7 +16,7 @@ class Backlash(Effect):
     name: ClassVar = "backlash"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4)),)
+    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size"),)
     experiment: ClassVar = "a ladder of reversal amplitudes: every length approached from both sides"
 
     def deviation(self, motion):

@@ -18,13 +18,20 @@ REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stat
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """name; unit; bounds : (low, high) that make sense; usual : (low, high) that rigs show; size : numbers it has."""
+    """name; unit; bounds : (low, high) that make sense; usual : (low, high) that rigs show; size : numbers it has, 0 for any.
+
+    role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
+    (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a shape's
+    parameter, to be searched over `usual` on a scale of that kind), "moment" (a time in the recording), "frequency", "choice"
+    (a whole number)
+    """
 
     name: str
     unit: str
     bounds: tuple[float, float]
     usual: tuple[float, float]
     size: int = 1
+    role: str = "linear"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

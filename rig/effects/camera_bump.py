@@ -18,7 +18,7 @@ class CameraBump(Effect):
     name: ClassVar = "camera_bump"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6), Parameter("time", "s", (-1e9, 1e9), (0, 1e5)))
+    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6), Parameter("time", "s", (-1e9, 1e9), (0, 1e5), role="moment"))
     experiment: ClassVar = "fixed cubes in view of that camera before and after"
 
     def mount(self, camera, t, channel):

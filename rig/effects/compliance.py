@@ -18,7 +18,7 @@ class Compliance(Effect):
     name: ClassVar = "compliance"
     stage: ClassVar = "struts"
     places: ClassVar = ("rig", "strut")
-    parameters: ClassVar = (Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8)),)
+    parameters: ClassVar = (Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse"),)
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
     on_pose: ClassVar = True
 

@@ -17,7 +17,7 @@ class Creep(Effect):
     name: ClassVar = "creep"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut", "rig")
-    parameters: ClassVar = (Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)), Parameter("time_constant", "s", (0.05, 1e4), (1, 1000)))
+    parameters: ClassVar = (Parameter("fraction", "", (0, 0.2), (1e-3, 1e-2)), Parameter("time_constant", "s", (0.05, 1e4), (1, 1000), role="log"))
     experiment: ClassVar = "expose repeatedly during one long dwell after a large move"
 
     def deviation(self, motion):

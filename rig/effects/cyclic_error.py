@@ -20,8 +20,8 @@ class CyclicError(Effect):
     name: ClassVar = "cyclic_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5)), Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416)),
-                            Parameter("order", "", (0.05, 20), (1, 2)))
+    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5)), Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+                            Parameter("order", "", (0.05, 20), (1, 2), role="even"))
     experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
 
     def deviation(self, motion):

@@ -21,7 +21,7 @@ class Hysteresis(Effect):
     name: ClassVar = "hysteresis"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2)), Parameter("weight", "", (0, 1), (1e-3, 1e-2)))
+    parameters: ClassVar = (Parameter("range", "m", (1e-5, 0.1), (1e-3, 2e-2), role="log"), Parameter("weight", "", (0, 1), (1e-3, 1e-2)))
     experiment: ClassVar = "reversals of growing amplitude: a backlash saturates at its gap, nested loops keep widening"
 
     def deviation(self, motion):

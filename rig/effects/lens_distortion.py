@@ -1,4 +1,4 @@
-"""A lens has terms that its stated model lacks."""
+"""A lens has terms that its stated model lacks, or bends the image as no model does."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -10,20 +10,41 @@ from rig.effects.base import Effect, Parameter
 
 @dataclass(frozen=True, slots=True)
 class LensDistortion(Effect):
-    """terms (12): what is added to OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 of the stated lens."""
+    """terms (12): what is added to OpenCV's k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 of the stated lens; warp (2 m) px: a smooth
+    displacement fixed in the image, the coefficients in u, then in v, of the Chebyshev products of `products`."""
 
     place: str
     terms: tuple[float, ...] = (0.0,) * 12
+    warp: tuple[float, ...] = ()
     name: ClassVar = "lens_distortion"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12),)
+    parameters: ClassVar = (Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12), Parameter("warp", "px", (-1e3, 1e3), (2e-2, 2), 0))
     experiment: ClassVar = "cover the whole image with corners: a lens is fixed in the frame, whatever the pose"
 
     def camera(self, camera):
-        if not self.at(f"camera {camera.name}"):
+        if not self.at(f"camera {camera.name}") or not any(self.terms):
             return camera
         terms = np.zeros(max(12, len(camera.distortion)))
         terms[: len(camera.distortion)] = camera.distortion
         terms[:12] += self.terms
         return replace(camera, distortion=terms)
+
+    def print_(self, camera, quads):
+        if not self.warp or not self.at(f"camera {camera.name}"):
+            return quads
+        degree = round((np.sqrt(25 + 4 * len(self.warp)) - 3) / 2)
+        return quads + products(camera, quads, degree) @ np.reshape(self.warp, (2, -1)).T
+
+
+def products(camera, uv, degree):
+    """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second degree to
+    `degree`: what is linear is the camera's own pose and lens."""
+    x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
+    T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
+    return np.stack([T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1)
+
+
+def count(degree):
+    """How many numbers a warp of that degree has."""
+    return (degree + 1) * (degree + 2) - 6

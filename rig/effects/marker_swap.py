@@ -21,7 +21,7 @@ class MarkerSwap(Effect):
     name: ClassVar = "marker_swap"
     stage: ClassVar = "targets"
     places: ClassVar = ("marker",)
-    parameters: ClassVar = (Parameter("other", "", (-1, 1e5), (0, 100)), Parameter("turn", "", (0, 3), (0, 3)))
+    parameters: ClassVar = (Parameter("other", "", (-1, 1e5), (0, 100), role="choice"), Parameter("turn", "", (0, 3), (0, 3), role="choice"))
     experiment: ClassVar = "look at the cube"
 
     def attach(self, markers):

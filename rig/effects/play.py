@@ -1,6 +1,7 @@
 """The play operator, walked along a whole path: what is left of history in a strut."""
 
 import numpy as np
+from numba import njit
 
 
 def play(lengths, half):
@@ -9,9 +10,15 @@ def play(lengths, half):
     The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic, so the
     knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
     """
+    return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
+
+
+@njit(cache=True)
+def _walk(lengths, half):
     out = np.empty_like(lengths)
     at = lengths[0].copy()
-    for k, length in enumerate(lengths):
-        at = np.clip(at, length - half, length + half)
-        out[k] = at
+    for k in range(len(lengths)):
+        for i in range(lengths.shape[1]):
+            at[i] = min(max(at[i], lengths[k, i] - half), lengths[k, i] + half)
+            out[k, i] = at[i]
     return out

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from rig.effects.base import Effect, Parameter
 
@@ -19,7 +20,7 @@ class ServoLag(Effect):
     name: ClassVar = "servo_lag"
     stage: ClassVar = "command"
     places: ClassVar = ("strut", "rig")
-    parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2)),)
+    parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2), role="size"),)
     experiment: ClassVar = "expose while moving at several speeds, cameras timed by an external clock: all struts alike is also a time offset"
 
     def follow(self, path):
@@ -31,11 +32,17 @@ class ServoLag(Effect):
 
 def lag(t, x, time_constant):
     """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the knots."""
+    return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
+
+
+@njit(cache=True)
+def _lag(t, x, time_constant):
     out = np.empty_like(x)
     out[0] = x[0]
-    dt = np.diff(t)
-    fade = np.exp(-dt / time_constant)
     for k in range(1, len(t)):
-        behind = (x[k] - x[k - 1]) / dt[k - 1] * time_constant if dt[k - 1] > 0 else 0.0
-        out[k] = x[k] - behind + (out[k - 1] - x[k - 1] + behind) * fade[k - 1]
+        dt = t[k] - t[k - 1]
+        fade = np.exp(-dt / time_constant)
+        for i in range(x.shape[1]):
+            behind = (x[k, i] - x[k - 1, i]) / dt * time_constant if dt > 0 else 0.0
+            out[k, i] = x[k, i] - behind + (out[k - 1, i] - x[k - 1, i] + behind) * fade
     return out

@@ -21,8 +21,9 @@ class Vibration(Effect):
     name: ClassVar = "vibration"
     stage: ClassVar = "structure"
     places: ClassVar = ("rig",)
-    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)), Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50)),
-                            Parameter("mode", "", (0, 5), (0, 5)), Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416)))
+    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
+                            Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
+                            Parameter("mode", "", (0, 5), (0, 5), role="choice"), Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"))
     experiment: ClassVar = "many exposures of one pose at irregular times"
 
     def sway(self, motion):

@@ -1,0 +1,169 @@
+"""What is taken as known while the rest is questioned: cameras, geometry, poses and the effects admitted so far."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.pipeline import sample_recording
+from rig import machine, mechanisms
+from rig.design import Design
+from rig.errors import NotEnoughData, RigError
+from rig.pose import exp
+from rig.recording import Commands, Sensors
+from vision.observations import Observations
+from vision.predict import Sightings, State, see
+from vision.recorded import measure_recording
+from vision.targets import MarkerMap, marker_map
+
+GROSS = 200.0  # px; a corner farther off belongs to something else
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The corners of a recording and which sightings they belong to.
+
+    observations : Observations of solved frames, frame an index into Knowledge.frames; weights : (n, 2, 2) px^2, their covariance
+    with what comes back in every frame allowed for; sightings : Sightings (k,); row : (n,) sighting of each corner
+    """
+
+    observations: Observations
+    weights: np.ndarray
+    markers: MarkerMap
+    sightings: Sightings
+    row: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """One linearisation point of everything.
+
+    design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
+    T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
+    own : (F, 6, 6) covariance of poses that an outside instrument measured, or None; common : (F, 6, k) their shared errors
+    commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
+    """
+
+    design: Design
+    stated: Design
+    frames: np.ndarray
+    t: np.ndarray
+    T: RigidTransform
+    moving: dict[int, RigidTransform]
+    own: np.ndarray | None
+    commands: Commands | None
+    sensors: Sensors | None
+    seen: Seen | None
+    effects: tuple = ()
+
+    @property
+    def state(self):
+        """State of cameras and poses, as the forward model of seeing takes it."""
+        return State(self.design.cameras, self.T, self.moving)
+
+    @property
+    def axes(self):
+        """How many struts are commanded, 0 where nothing is."""
+        return len(self.design.mechanism.axes) if self.commands is not None else 0
+
+    def motion(self, effects):
+        """Motion at the exposures under effects, at the measured poses."""
+        return replace(machine.motion(self.design, self.commands, self.t, effects, self.sensors), T=self.T)
+
+    def effective(self, effects=None):
+        """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
+        effects = self.effects if effects is None else effects
+        motion = self.motion(effects)
+        out = motion.lengths + sum((e.deviation(motion) for e in effects), np.zeros(motion.lengths.shape))
+        sway = sum((e.sway(motion) for e in effects), np.zeros((len(self.t), 6)))
+        return out + self.swayed(sway) if sway.any() else out
+
+    def swayed(self, sway):
+        """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
+        m = self.design.mechanism
+        return np.einsum("fij,fj->fi", mechanisms.of(m).jacobian(self.T, m), sway)
+
+    def sensors_or_fail(self):
+        """The sensors. Raises RigError where the recording has none."""
+        if self.sensors is None:
+            raise RigError("the recording has no sensors.csv")
+        return self.sensors
+
+    def closures(self):
+        """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
+        m = self.design.mechanism
+        return mechanisms.of(m).inverse(self.T, m) - self.effective()
+
+    def run(self, effects):
+        """machine.Run with rates where some camera exposes row by row, else None."""
+        rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.name == "rolling_shutter" for e in effects)
+        return machine.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
+            if rolls and self.commands is not None else None
+
+    def pixels(self, effects=None, rows=None, run=None):
+        """(n, 2) px where the observed corners should be under effects (those admitted, by default).
+
+        rows : sightings (mask or index) to which it is confined, then (k, 4, 2) px of those
+        """
+        effects = self.effects if effects is None else effects
+        seen = self.seen
+        run = self.run(effects) if run is None else run
+        sightings = seen.sightings if rows is None else seen.sightings.take(rows)
+        quads = see(sightings, self.state, seen.markers, self.t, effects, self.sensors, run)
+        return quads if rows is not None else quads[seen.row, seen.observations.corner]
+
+    def with_effects(self, effects):
+        """The same with other effects admitted."""
+        return replace(self, effects=tuple(effects))
+
+
+def of_recording(recording, progress=None):
+    """(Knowledge, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
+
+    Raises NotEnoughData where nothing was measured, and what measuring raises
+    """
+    design = recording.design
+    if design.mechanism.kind == "free" or recording.commands is None:
+        measured, collected = measure_recording(recording, progress=progress)
+        source = "images" if collected is not None else "corners.csv"
+    else:
+        sampled = sample_recording(recording, progress=progress)
+        measured, source = sampled.measurement, sampled.source
+        if measured is None:
+            s = sampled.samples
+            return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, recording.sensors, None), \
+                source, None
+    if len(measured.frames) < 12:
+        raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes 12, better 100")
+    frames, times = recording.exposures.times()
+    state = measured.adjustment.state
+    knowledge = Knowledge(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
+                          state.moving, None, recording.commands if design.mechanism.kind != "free" else None, recording.sensors, None)
+    return replace(knowledge, seen=_seen(measured, knowledge)), source, measured
+
+
+def _seen(measured, knowledge):
+    o = measured.observations
+    keep = np.isin(o.frames[o.frame], measured.frames)
+    kept = o.take(keep)
+    kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
+    markers = marker_map(knowledge.stated)
+    seen = seen_of(kept, measured.weights, markers)
+    off = np.linalg.norm(kept.uv - replace(knowledge, seen=seen).pixels(), axis=1)
+    near = off < GROSS
+    return seen if near.all() else seen_of(kept.take(near), measured.weights[near], markers)
+
+
+def seen_of(observations, weights, markers):
+    """Seen of observations (n,) with covariance weights (n, 2, 2), grouped into sightings."""
+    key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (len(markers.id) + 1) + observations.marker
+    _, first, row = np.unique(key, return_index=True, return_inverse=True)
+    sightings = Sightings(observations.frame[first], observations.camera[first], observations.marker[first])
+    return Seen(observations, weights, markers, sightings, row)
+
+
+def moved(knowledge, cameras, mechanism, local):
+    """Knowledge with cameras and mechanism replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
+    moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(knowledge.moving.items()))}
+    return replace(knowledge, design=replace(knowledge.design, cameras=tuple(cameras), mechanism=mechanism),
+                   T=knowledge.T * exp(local[:, :6]), moving=moving)

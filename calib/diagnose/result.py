@@ -1,0 +1,142 @@
+"""A recording -> its Diagnosis, and that as diagnosis.json."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnose import knowledge as known
+from calib.diagnose.hypotheses import Signatures, families
+from calib.diagnose.prove import Proof, corner_noise, overall, prove
+from calib.diagnose.select import Selection, select
+from calib.diagnose.unknown import unknowns
+from rig.effects import BY_NAME
+from rig.writing import write_text
+
+SCHEMA = "diagnosis/1"
+KEPT = 0.3  # share of an effect's weight that it must keep beside what is unknown, or the unknown takes its place
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """recording : its name; source : of the poses, in words; selection : Selection; proofs : [Proof], one for each finding;
+    fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}"""
+
+    recording: str
+    source: str
+    selection: Selection
+    proofs: list[Proof]
+    fit: Proof
+    unknown: list
+    skipped: list
+    noise: dict
+
+    @property
+    def effects(self):
+        """The admitted effects, in the findings' order."""
+        return [self.selection.settled.knowledge.effects[f.number] for f in self.selection.findings]
+
+
+def diagnose(recording, only=None, without=(), progress=None):
+    """Diagnosis of a Recording.
+
+    only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
+    progress : called with (label, done, of), or None. Raises NotEnoughData where too little was measured, and what measuring raises
+    """
+    knowledge, source, _ = known.of_recording(recording, progress)
+    asked, skipped = families(knowledge, only, without)
+    signatures = Signatures(knowledge)
+    selection = select(knowledge, asked, signatures, progress)
+    planes = _bare(selection.settled)
+    left = unknowns(planes)
+    plane = "struts" if knowledge.axes else "view"
+    proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
+    if selection.findings and knowledge.axes:
+        plane = selection.findings[0].score.family.plane
+    return Diagnosis(recording.folder.resolve().name, source, selection, proofs, overall(selection.settled, plane), left, skipped,
+                     _noise(selection.settled.planes))
+
+
+def _bare(settled):
+    """Planes with the admitted effects' parameters among the freedoms."""
+    return settled.planes if settled.column is None else settled.planes.without(settled.column)
+
+
+def _noise(planes):
+    """{corner_px, pose_m, pose_rad, strut_m}: standard deviations of what was measured, cameras known."""
+    k = planes.knowledge
+    if k.own is not None:
+        covariance = k.own
+    else:
+        covariance = planes.to_local[:, :6] @ np.swapaxes(planes.to_local[:, :6], 1, 2)
+    out = {"corner_px": corner_noise(planes) or None, "pose_m": _length(covariance[:, :3, :3]), "pose_rad": _length(covariance[:, 3:, 3:])}
+    if k.axes:
+        inverse = np.linalg.inv(planes.W)
+        out["strut_m"] = float(np.sqrt(np.mean(np.einsum("fij,fij->fi", inverse, inverse))))
+    return out
+
+
+def _length(covariance):
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))
+
+
+def to_dict(diagnosis):
+    """The tree of diagnosis.json."""
+    findings = [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.selection.findings, diagnosis.proofs)]
+    findings += [{"effect": "unknown", "place": u.place,
+                  "parameters": {"magnitude": {"value": u.magnitude, "unit": u.unit}, "depends_on": {"value": list(u.depends_on), "unit": ""}},
+                  "evidence": {"p_value": u.p_value, "drop": u.drop}, "cannot_be_told_from": []} for u in _places(diagnosis.unknown)]
+    worst = diagnosis.unknown[0] if diagnosis.unknown else None
+    fit = diagnosis.fit
+    return {"schema": SCHEMA, "recording": diagnosis.recording, "noise": diagnosis.noise, "findings": findings,
+            "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
+                                                       "depends_on": list(worst.depends_on)},
+            "fit": {"heldout_before": fit.before, "heldout_after": fit.after, "noise_floor": fit.floor, "unit": fit.unit},
+            "not_asked": [{"effect": s.effect, "reason": s.reason} for s in diagnosis.skipped]}
+
+
+def _places(unknown):
+    """The most convincing Unknown of each place."""
+    seen = {}
+    for u in unknown:
+        seen.setdefault(u.place, u)
+    return list(seen.values())
+
+
+def _finding(diagnosis, finding, proof):
+    settled = diagnosis.selection.settled
+    effect = settled.knowledge.effects[finding.number]
+    size = settled.planes.size
+    units = {p.name: p.unit for p in effect.parameters}
+    parameters = {name: {"value": value, "unit": units[name], "ci95": [low, high]}
+                  for name, (value, low, high) in settled.intervals(finding.number).items()}
+    for p in effect.parameters:
+        if p.role in ("moment", "choice") and getattr(effect, p.name) > -1e8:
+            parameters[p.name] = {"value": getattr(effect, p.name), "unit": p.unit, **_bracket(settled, effect, p)}
+    return {"effect": effect.name, "place": effect.place, "parameters": parameters,
+            "evidence": {"delta_bic": finding.score.gain(size), "p_value": min(1.0, finding.score.p_value * diagnosis.selection.families),
+                         "heldout_before": proof.before, "heldout_after": proof.after, "unit": proof.unit, "gain_sigma": proof.gain},
+            "cannot_be_told_from": [{"effect": r.score.family.kind.name, "place": r.score.family.place, "delta_bic": r.behind,
+                                     "cosine": r.cosine, "experiment": experiment(effect.name, r.score.family.kind.name)}
+                                    for r in finding.rivals]}
+
+
+def _bracket(settled, effect, parameter):
+    """The frames between which a moment lies."""
+    if parameter.role != "moment":
+        return {}
+    t, value = settled.knowledge.t, getattr(effect, parameter.name)
+    i = int(np.clip(np.searchsorted(t, value), 1, len(t) - 1))
+    return {"ci95": [float(t[i - 1]), float(t[i])]}
+
+
+def experiment(a, b):
+    """What would tell two effects apart, in words."""
+    if a == b:
+        return f"{BY_NAME[a].experiment}"
+    return f"{a}: {BY_NAME[a].experiment}; {b}: {BY_NAME[b].experiment}"
+
+
+def save(folder, diagnosis):
+    """Write diagnosis.json into a folder."""
+    write_text(folder / "diagnosis.json", json.dumps(to_dict(diagnosis), indent=1) + "\n")

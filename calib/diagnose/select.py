@@ -1,0 +1,162 @@
+"""Which effects: forward steps, backward checks, and for each the rivals that would have explained as much."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnose.planes import linearise
+from calib.diagnose.search import column_of, search
+from calib.diagnose.settle import Settled, admit, settle, tangents
+from rig.effects.base import check
+
+ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
+GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
+ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
+COSINE = 0.99  # between signatures, freedoms taken out, from which two are the same
+NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
+MOST = 6  # effects at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """score : of a hypothesis in place of a finding; behind : how much worse it does, by the Bayesian criterion; cosine of the signatures."""
+
+    score: object
+    behind: float
+    cosine: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """number : of the effect among the admitted; score : its scan with all others admitted; rivals : [Rival]"""
+
+    number: int
+    score: object
+    rivals: list
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """settled : Settled of all admitted; findings : [Finding] in the order of their weight; families : how many were asked; before :
+    Planes with nothing admitted"""
+
+    settled: Settled
+    findings: list
+    families: int
+    before: object
+
+
+def select(knowledge, families, signatures, progress=None):
+    """Selection of the effects that a Knowledge with none needs. progress : called with (label, done, of), or None"""
+    settled = settle(knowledge, signatures)
+    before = settled.planes
+    chosen = []  # families of the admitted, in their order
+    for _ in range(MOST):
+        label = f"searching beside {len(chosen)} effects" if chosen else "searching"
+        planes = settled.planes if settled.column is None else settled.planes.without(settled.column)
+        signatures = signatures.at(settled.knowledge)
+        scores = search(planes, families, signatures, (lambda done, of, label=label: progress(label, done, of)) if progress else None)
+        best = next((s for s in scores if _convincing(s, len(families), planes.size)), None)
+        if best is None:
+            break
+        chosen.append(best.family)
+        settled = admit(settled, best, signatures)
+        settled, chosen = _prune(settled, chosen, signatures)
+    settled, chosen, findings = _confirm(settled, chosen, families, signatures, progress)
+    return Selection(settled, findings, len(families), before)
+
+
+def _convincing(score, count, size):
+    """Whether a Score is a finding: too good for chance over all families, worth its parameters, and physically possible."""
+    if score.p_value * count > ALPHA or score.gain(size) < GAIN:
+        return False
+    try:
+        check(score.effect)
+    except ValueError:
+        return False
+    return True
+
+
+def _prune(settled, chosen, signatures):
+    """The admitted without those that the others have made needless."""
+    while chosen:
+        gains = []
+        for number in range(len(chosen)):
+            statistic, parameters = settled.wald(number)
+            gains.append(statistic - (parameters + chosen[number].extra) * np.log(settled.planes.size))
+        worst = int(np.argmin(gains))
+        if gains[worst] >= GAIN:
+            break
+        effects = [e for i, e in enumerate(settled.knowledge.effects) if i != worst]
+        chosen = [c for i, c in enumerate(chosen) if i != worst]
+        settled = settle(settled.knowledge.with_effects(effects), signatures)
+    return settled, chosen
+
+
+def _confirm(settled, chosen, families, signatures, progress):
+    """Each finding against all families with the others admitted: replaced where another does better, its rivals listed."""
+    findings, number = [], 0
+    for _ in range(2 * MOST):
+        if number == len(chosen):
+            break
+        score, rivals = _rivals(settled, number, chosen, families, signatures, progress)
+        better = rivals and rivals[0].behind < -1.0 and _convincing(rivals[0].score, len(families), settled.planes.size)
+        replaced = _replaced(settled, number, rivals[0].score, signatures) if better else None
+        if replaced is not None:
+            settled, chosen[number], number, findings = replaced, rivals[0].score.family, 0, []
+            continue
+        findings.append(Finding(number, score, [r for r in rivals if r.behind < ALIKE or abs(r.cosine) > COSINE]))
+        number += 1
+    return settled, chosen, sorted(findings, key=lambda f: -f.score.drop)
+
+
+def _replaced(settled, number, score, signatures):
+    """Settled with a hypothesis in place of an admitted effect, at the same number, where it fits better for its size; else None."""
+    effects = list(settled.knowledge.effects)
+    effects.pop(number)
+    new = admit(settle(settled.knowledge.with_effects(effects), signatures), score, signatures)
+    size = np.log(settled.planes.size)
+    if new.likelihood() + len(new.coordinates) * size >= settled.likelihood() + len(settled.coordinates) * size - 1:
+        return None
+    effects = list(new.knowledge.effects)
+    effects.insert(number, effects.pop())
+    return settle(new.knowledge.with_effects(effects), signatures)
+
+
+def _rivals(settled, number, chosen, families, signatures, progress):
+    """(Score of a finding, [Rival] by weight) with the other findings admitted and their parameters free."""
+    k = settled.knowledge
+    others = tuple(e for i, e in enumerate(k.effects) if i != number)
+    planes = linearise(k.with_effects(others))
+    _, column = tangents(planes, signatures)
+    planes = planes if column is None else planes.without(column)
+    signatures = signatures.at(planes.knowledge)
+    label = f"rivals of {k.effects[number].name}"
+    scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)
+    own = next(s for s in scores if s.family is chosen[number])
+    signature = _signature(planes, own, signatures)
+    rivals = []
+    for s in scores:
+        if s.family is own.family or (s.family.kind is own.family.kind and s.family.place == own.family.place):
+            continue
+        behind = own.raw_gain(planes.size) - s.raw_gain(planes.size)
+        if behind > max(2 * ALIKE, NEAR * own.drop * own.dispersion) or s.p_value > 1e-4:
+            continue
+        other = _signature(planes, s, signatures)
+        rivals.append(Rival(s, behind, _cosine(planes, signature, other)))
+    return own, sorted(rivals, key=lambda r: r.behind)
+
+
+def _signature(planes, score, signatures):
+    """Column (1) of what a Score's effect does as scanned, freedoms not yet taken out."""
+    column = column_of(planes, score.family, score.shape, signatures)
+    theta = score.coefficients if len(score.coefficients) else np.ones(1)
+    return type(column)(None if column.image is None else column.image @ theta[:, None], column.struts @ theta[:, None])
+
+
+def _cosine(planes, a, b):
+    parts = [planes.project(column) for column in (a, b)]
+    inner = float((a.struts.T @ b.struts)[0, 0]) - float((parts[0][0].T @ parts[1][0])[0, 0])
+    if a.image is not None and b.image is not None:
+        inner += float((a.image.T @ b.image)[0, 0])
+    return inner / np.sqrt(max(float(parts[0][2][0, 0]) * float(parts[1][2][0, 0]), 1e-300))

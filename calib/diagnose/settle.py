@@ -1,0 +1,240 @@
+"""All that is admitted fitted together: cameras, geometry, poses and effects' parameters, by Gauss-Newton on both planes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.diagnose.knowledge import Knowledge, moved
+from calib.diagnose.planes import Column, Planes, linearise
+from calib.diagnose.search import column_of
+from rig.effects.base import Effect, check
+from rig.pose import exp
+
+MAX_ITERATIONS = 8
+SMALL = 0.02  # standard deviations; a step below settles a parameter
+HALVINGS = 8
+SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
+Z95 = 1.959964  # normal quantile of a 95 % interval
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """One continuous parameter of one admitted effect, as the fit sees it: index of a vector or None; role as the parameter's."""
+
+    effect: int
+    name: str
+    index: int | None
+    role: str
+    step: float
+
+    def read(self, effect):
+        """The coordinate's value: the parameter, its reciprocal or its logarithm."""
+        value = getattr(effect, self.name)
+        value = value if self.index is None else value[self.index]
+        return {"inverse": lambda v: 1 / v, "log": np.log, "size": lambda v: v}.get(self.role, lambda v: v)(value)
+
+    def parameter(self, value):
+        """The parameter's value of the coordinate's."""
+        return {"inverse": lambda v: 1 / v if v else np.inf, "log": np.exp}.get(self.role, lambda v: v)(value)
+
+    def written(self, effect, value):
+        """The effect with the coordinate at a value."""
+        value = float(self.parameter(value))
+        if self.index is not None:
+            vector = list(getattr(effect, self.name))
+            vector[self.index] = value
+            value = tuple(vector)
+        return replace(effect, **{self.name: value})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """knowledge, planes : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of them
+    given nothing else; column : Column of their directions; strength : {effect: Wald's statistic}"""
+
+    knowledge: Knowledge
+    planes: Planes
+    coordinates: list
+    values: np.ndarray
+    covariance: np.ndarray
+    column: Column | None
+
+    def likelihood(self):
+        """Minus twice the log likelihood at the optimum, but for a constant."""
+        return _comparable(self.planes)
+
+    def wald(self, effect):
+        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations."""
+        at = [i for i, c in enumerate(self.coordinates) if c.effect == effect and c.role in ("linear", "inverse", "size")]
+        theta = self.values[at]
+        block = self.covariance[np.ix_(at, at)]
+        scale = np.sqrt(np.diag(block))
+        return float((theta / scale) @ np.linalg.lstsq(block / scale[:, None] / scale, theta / scale, rcond=1e-9)[0]), len(at)
+
+    def intervals(self, effect):
+        """{parameter: (value, low, high)} at 95 % of effect number `effect`; vectors as tuples."""
+        out = {}
+        for i, c in enumerate(self.coordinates):
+            if c.effect != effect:
+                continue
+            half = Z95 * np.sqrt(self.covariance[i, i])
+            ends = [float(c.parameter(self.values[i] + s * half)) if c.role != "inverse" or self.values[i] + s * half > 0 else np.inf
+                    for s in (0, -1, 1)]
+            ends[1:] = sorted(ends[1:])
+            if c.index is None:
+                out[c.name] = tuple(ends)
+            else:
+                for k in range(3):
+                    out.setdefault(c.name, ([], [], []))[k].append(ends[k])
+        return out
+
+
+def admit(settled, score, signatures):
+    """Settled with a Score's effect besides: all that is free moves with it from the start, so that even a large one fits in."""
+    planes, k = settled.planes, settled.knowledge
+    column, theta = column_of(planes, score.family, score.shape, signatures), score.coefficients
+    if not len(theta):  # its size is its shape: the rest makes room
+        parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
+        step = np.r_[np.zeros(len(settled.coordinates)), 1.0]
+    else:
+        parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
+        step = _step(planes, parts)[0]
+        theta = step[len(settled.coordinates) :]
+    effects = list(k.effects)
+    for c, s in zip(settled.coordinates, step):
+        effects[c.effect] = c.written(effects[c.effect], c.read(effects[c.effect]) + s)
+    z = planes.at_rest - planes.project(parts)[0] @ step
+    try:
+        effects = [check(effect) for effect in (*effects, score.family.effect(score.shape, theta))]
+        knowledge = _apply(planes, planes.solve @ z, step, parts, effects)
+    except ValueError:
+        knowledge = k.with_effects((*k.effects, score.effect))
+    return settle(knowledge, signatures)
+
+
+def settle(knowledge, signatures):
+    """Settled of the admitted effects from where their parameters stand. What cannot improve any more stays."""
+    planes = linearise(knowledge)
+    coordinates, column = tangents(planes, signatures)
+    for _ in range(MAX_ITERATIONS):
+        step, covariance = _step(planes, column)
+        new, planes_new = _try(planes, coordinates, step, column)
+        if new is None:
+            break
+        gained = _comparable(planes) - _comparable(planes_new)
+        knowledge, planes = new, planes_new
+        coordinates, column = tangents(planes, signatures)
+        if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < SLACK:
+            break
+    _, covariance = _step(planes, column)
+    values = np.array([c.read(knowledge.effects[c.effect]) for c in coordinates])
+    return Settled(knowledge, planes, coordinates, values, covariance, column)
+
+
+def tangents(planes, signatures):
+    """(coordinates, Column of their directions) of the admitted effects at a linearisation."""
+    k, coordinates, parts = planes.knowledge, [], []
+    signatures = signatures.at(k)
+    for number, effect in enumerate(k.effects):
+        for p in effect.parameters:
+            value = getattr(effect, p.name)
+            if p.role in ("moment", "choice") or (p.name == "since" and value < -1e8):
+                continue
+            for index in range(len(value)) if isinstance(value, tuple) else (None,):
+                if effect.name == "lens_distortion" and not value[index]:
+                    continue
+                if effect.name == "lens_distortion" and p.name == "terms" and effect.warp:
+                    continue
+                size = np.sqrt(p.usual[0] * p.usual[1]) if p.usual[0] > 0 else 0.1
+                step = {"inverse": 1e-3 / size, "log": 1e-3, "size": 1e-2 * size, "phase": 1e-3, "even": 1e-5, "frequency": 1e-8}.get(
+                    p.role, 1e-2 * size)
+                coordinates.append(Coordinate(number, p.name, index, p.role, step))
+    for c in coordinates:
+        effect = k.effects[c.effect]
+        at = c.read(effect)
+        both = [tuple(c.written(e, at + s * c.step) if i == c.effect else e for i, e in enumerate(k.effects)) for s in (1, -1)]
+        if effect.stage in ("targets", "view") and c.role == "linear" and type(effect).mount is Effect.mount:
+            length = len(getattr(effect, c.name)) if c.index is not None else None
+            parameter = next(p for p in effect.parameters if p.name == c.name)
+            rows, quads = signatures.derivative(type(effect), effect.place, c.name, c.index, c.step, length if not parameter.size else None)
+            parts.append(planes.fold(signatures.corners(rows, quads[..., None])))
+        elif effect.stage in ("targets", "view"):
+            parts.append(planes.fold(((k.pixels(both[0]) - k.pixels(both[1])) / (2 * c.step))[..., None]))
+        else:
+            parts.append(Column(None, planes.whitened(((k.effective(both[0]) - k.effective(both[1])) / (2 * c.step))[..., None])))
+    return coordinates, joined(parts, len(planes.image), planes.local.shape[1], planes.frames)
+
+
+def joined(parts, rows, local, frames):
+    """One Column of several, or None of none."""
+    if not parts:
+        return None
+    image = None
+    if any(part.image is not None for part in parts):
+        image = np.column_stack([np.zeros((rows, part.struts.shape[1])) if part.image is None else part.image for part in parts])
+    inner = np.concatenate([np.zeros((frames, local, part.struts.shape[1])) if part.inner is None else part.inner for part in parts], axis=2)
+    return Column(image, np.column_stack([part.struts for part in parts]), inner)
+
+
+def _step(planes, column):
+    """Step (c,) of the effects' coordinates and its covariance (c, c)."""
+    if column is None:
+        return np.zeros(0), np.zeros((0, 0))
+    _, b, G = planes.project(column)
+    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
+    kept = values > 1e-9 * max(values[-1], 1e-300)
+    half = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    return half @ (half.T @ b), half @ half.T
+
+
+def _try(planes, coordinates, step, column):
+    """(Knowledge, Planes) after as much of the step as lowers the cost, or (None, None)."""
+    k = planes.knowledge
+    for halving in range(HALVINGS):
+        share = 0.5**halving
+        effects = list(k.effects)
+        try:
+            for c, s in zip(coordinates, step):
+                effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
+            effects = [check(effect) for effect in effects]
+        except ValueError:
+            continue
+        z = planes.at_rest - (planes.project(column)[0] @ (share * step) if column is not None else 0)
+        new = _apply(planes, planes.solve @ z, share * step, column, effects)
+        after = linearise(new)
+        if _comparable(after) <= _comparable(planes) + SLACK:
+            return new, after
+    return None, None
+
+
+def _comparable(planes):
+    """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it included."""
+    cost = planes.cost() + planes.excess + 2 * len(planes.image) * np.log(planes.sigma)
+    return cost - 2 * np.linalg.slogdet(planes.W)[1].sum() if planes.knowledge.axes else cost
+
+
+def _apply(planes, freedoms, step, column, effects):
+    """Knowledge with freedoms (p,) and each frame's own poses moved to where the fit puts them."""
+    k = planes.knowledge
+    inner = planes.inner[..., 0] - planes.inner[..., 1:] @ freedoms[: planes.inner.shape[2] - 1]
+    if column is not None:
+        inner = inner - column.inner @ step
+    local = np.einsum("fij,fj->fi", planes.to_local, inner)
+    cameras = list(k.design.cameras)
+    for i, at in planes.camera_columns.items():
+        value = freedoms[at]
+        if i not in k.moving:
+            cameras[i] = replace(cameras[i], pose=cameras[i].pose * exp(value[:6]))
+            value = value[6:]
+        matrix = cameras[i].matrix.copy()
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
+        cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
+    m = k.design.mechanism
+    if k.axes:
+        g = freedoms[len(planes.names) - 42 :]
+        m = replace(m, base_joints=m.base_joints + g[:18].reshape(6, 3), platform_joints=m.platform_joints + g[18:36].reshape(6, 3),
+                    strut_zeros=m.strut_zeros + g[36:])
+    if k.seen is None:
+        local = np.zeros((planes.frames, 6))
+    return moved(k, cameras, m, local).with_effects(effects)

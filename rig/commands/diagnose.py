@@ -1,0 +1,50 @@
+"""rig diagnose REC --out DIR."""
+
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_folder
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
+    parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
+    parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
+
+
+def run(arguments):
+    """Diagnose a recording and write what was found."""
+    from rig import recording as recordings
+    from rig.effects import BY_NAME
+
+    for text in (arguments.only or []) + arguments.without:
+        if text.split(" ")[0] not in BY_NAME:
+            raise RigError(f"there is no effect {text.split(' ')[0]!r}; there are {', '.join(BY_NAME)}")
+    recording = recordings.load(arguments.recording)
+    out = fresh_folder(arguments.out, recording.folder)
+
+    from calib.diagnose import result
+
+    found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+    result.save(out, found)
+    tree = result.to_dict(found)
+    for finding in tree["findings"]:
+        print(f"{finding['effect']} at {finding['place']}: " + ", ".join(_parameter(*item) for item in finding["parameters"].items()))
+        for rival in finding["cannot_be_told_from"]:
+            print(f"  cannot be told from {rival['effect']} at {rival['place']}; {rival['experiment']}")
+    if not tree["findings"]:
+        print("nothing is left out: the recording and the model agree within the noise")
+    fit = tree["fit"]
+    scale, unit = (1e6, "um") if fit["unit"] == "m" else (1, fit["unit"])
+    print(f"held out: {fit['heldout_before'] * scale:.4g} {unit} before, {fit['heldout_after'] * scale:.4g} after; noise {fit['noise_floor'] * scale:.4g}")
+    print(f"written: {out / 'diagnosis.json'}")
+
+
+def _parameter(name, parameter):
+    value, unit = parameter["value"], parameter["unit"]
+    if not isinstance(value, float):
+        return f"{name} ({len(value)} numbers)" if value and isinstance(value[0], float) else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
+    low, high = parameter.get("ci95", (None, None))
+    return f"{name} {value:.4g} {unit}" + (f" ({low:.4g} to {high:.4g})" if low is not None else "")
