@@ -31,7 +31,7 @@ class Measurement:
     inliers : (n,) bool; residuals : (n, 2) px, NaN where the frame is unsolved
     noise : px, standard deviation of a corner per axis; standing : px, the part of a corner's error that comes back in every
     frame where neither camera nor marker moves; factor : what stated covariances were multiplied by
-    adjustment : the last Adjustment, for its shared unknowns
+    adjustment : the last Adjustment, for its shared unknowns; used : the Observations it was fitted to, with the weights it gave them
     """
 
     design: Design
@@ -47,6 +47,7 @@ class Measurement:
     standing: float
     factor: float
     adjustment: Adjustment
+    used: Observations
 
     def ids(self):
         """Identity of each row of the marker map."""
@@ -77,7 +78,8 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     observations = replace(observations, covariance=scale**2 * observations.covariance)
     kept, good = _only(observations, solved), inliers[keep]
     weights, standing = _standing(kept, good, result.state)
-    result = adjust(replace(kept, covariance=weights).take(good), result.state, free)
+    used = replace(kept, covariance=weights).take(good)
+    result = adjust(used, result.state, free)
     numbers, common = observations.frames[solved], result.platform_common
     residuals = np.full((len(observations), 2), np.nan)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]
@@ -85,7 +87,7 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
                        result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
                        {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, inliers, residuals,
-                       float(noise), standing, float(scale**2), result)
+                       float(noise), standing, float(scale**2), result, used)
 
 
 def _filled(poses, count):

@@ -45,9 +45,4 @@ def rms(errors):
     return np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()), np.sqrt((errors[:, 3:] ** 2).sum(axis=1).mean())
 
 
-def parameters(mechanism):
-    """(42,) joints and zeros in the order of calib.identify."""
-    return np.concatenate([mechanism.base_joints.ravel(), mechanism.platform_joints.ravel(), mechanism.strut_zeros])
-
-
-__all__ = ["sampled", "real", "workspace", "rms", "parameters", "difference", "replace"]
+__all__ = ["sampled", "real", "workspace", "rms", "difference", "replace"]
