@@ -102,7 +102,8 @@ def _step(data, c, weight, to_mean, basis):
     root, right = R[c:-1, c:-1], R[c:-1, -1]
     size = np.abs(np.diag(root))
     if not size.min() > 1e-13 * size.max():
-        raise NotEnoughData(f"the observations leave {int((size <= 1e-13 * size.max()).sum())} of {len(size)} directions open, and no prior holds them")
+        missing = int((size <= 1e-13 * size.max()).sum())
+        raise NotEnoughData(f"the observations leave {missing} of {len(size)} directions open, and no prior holds them")
     step = solve_triangular(root, right)
     z = solve_triangular(R[:c, :c], R[:c, -1] - R[:c, c:-1] @ step) if c else np.zeros(0)
     return step, z, root, float(R[-1, -1] ** 2)

@@ -13,6 +13,7 @@ COMMANDS = {
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
+    "plan": "Which configurations to visit so that what is asked becomes visible.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",

@@ -1,0 +1,33 @@
+"""The command line around parameters: plans, exports, poses one at a time, measuring limbs."""
+
+import pytest
+
+from rig import table
+from rig.cli import main
+
+
+@pytest.fixture
+def rig_file(tmp_path, rig_text):
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_text)
+    return path
+
+
+def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsys):
+    out = tmp_path / "plan.csv"
+    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "10", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
+    assert len(table.read(out, ("frame", "l1"))) == 10
+    assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
+    again = tmp_path / "more.csv"
+    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "6", "--given", str(tmp_path / "rec"), "--out", str(again)]) == 0
+    assert "beside 10 given" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments, says", [
+    (["--count", "0"], "positive"), (["--count", "3"], "3 configurations cannot determine"), (["--given", "typo.csv"], "typo.csv: no such file"),
+])
+def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
+    assert main(["plan", str(rig_file), "--for", "parameters", "--out", str(tmp_path / "p.csv"), *arguments]) == 1
+    assert says in capsys.readouterr().err and not (tmp_path / "p.csv").exists()
