@@ -105,7 +105,8 @@ def _several(evidence):
             fits.append((float(size @ e.projected[part]), size, np.sqrt(np.diag(spread))))
         struts, frame = fits
         better, other = (struts, frame) if struts[0] > frame[0] else (frame, struts)
-        if better[0] < MOVED[6] or e.total - better[0] > MISFIT[6 * poses - 6] or better[0] - other[0] < (APART if poses < len(evidence) or poses < DECIDES else 0.0):
+        apart = 0.0 if poses == len(evidence) and poses >= DECIDES else APART
+        if better[0] < MOVED[6] or e.total - better[0] > MISFIT[6 * poses - 6] or better[0] - other[0] < apart:
             continue
         if better is frame:
             return (Change("frame", None, e.onset, frame[1], frame[2]),)

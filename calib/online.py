@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.identify import PRIOR, parameters, with_parameters
-from calib.jumps import SUSPECT, Change, Evidence, judge
+from calib.jumps import SUSPECT, Evidence, judge
 from calib.observability import gauge
 from calib.square_root import KINDS, SUMS, WINDOW, follow, learn
 from rig.design import Hexapod
@@ -66,6 +66,16 @@ class Online:
         half = np.linalg.inv(self.S[:, :k])
         return (half @ half.T)[-42:, -42:]
 
+    def new_session(self, shared=0):
+        """From here on the poses share other errors: `shared` new draws, what was known of the old ones is marginalised.
+
+        Poses that were held are given up."""
+        c, k = len(self.s), shared + 42
+        kept = self.S[c:, c : c + 42]
+        self.S, self.s = np.zeros((k, k + 1 + KINDS * WINDOW)), np.zeros(shared)
+        self.S[:shared, :shared], self.S[shared:, shared:k] = np.eye(shared), kept
+        self.sums[:], self.recent, self.first, self.held = 0, [], None, ()
+
     def update(self, x, T_base_platform, covariance, common=None):
         """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the right
         common : (6, shared) factor of the shared errors, needed where there are any. Returns Update.
@@ -91,12 +101,11 @@ class Online:
         for each in (*waiting, raw):
             self._learn(each, innovation)
         found = judge(self._evidence())
-        if waiting and not found:
-            if innovation @ innovation < SUSPECT or self._quiet(before, raw, innovation):  # those held were wrong alone
-                dropped, waiting = tuple(each[0] for each in waiting), ()
-                self._restore(before)
-                self._learn(raw, innovation)
-                found = judge(self._evidence())
+        if waiting and not found and (innovation @ innovation < SUSPECT or self._quiet(before, raw, innovation)):
+            dropped, waiting = tuple(each[0] for each in waiting), ()  # those held were wrong, each alone
+            self._restore(before)
+            self._learn(raw, innovation)
+            found = judge(self._evidence())
         while found and len(changes) < LARGEST:
             changes += found
             found = self._open(found, innovation)

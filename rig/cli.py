@@ -14,6 +14,7 @@ COMMANDS = {
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "plan": "Which configurations to visit so that what is asked becomes visible.",
+    "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",

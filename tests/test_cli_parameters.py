@@ -31,3 +31,20 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
 def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
     assert main(["plan", str(rig_file), "--for", "parameters", "--out", str(tmp_path / "p.csv"), *arguments]) == 1
     assert says in capsys.readouterr().err and not (tmp_path / "p.csv").exists()
+
+
+def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
+    effect = "missed_steps:strut3:jump=9e-5,time=400"
+    assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec")]) == 0
+    times = table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
+    first = int(times.numbers("frame")[times.numbers("t") > 400][0])
+    state = tmp_path / "state.json"
+    capsys.readouterr()
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
+    said = capsys.readouterr().out
+    assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
+    assert "going on after 110 poses" in capsys.readouterr().out
+    state.write_text("{")
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
+    assert "cut off" in capsys.readouterr().err

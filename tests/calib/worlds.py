@@ -14,7 +14,7 @@ OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
 COMMON = np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 2e-5])
 
 
-def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, own=None):
+def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, own=None, noise_seed=None):
     """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their geometry.
 
     commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is shared"""
@@ -24,6 +24,7 @@ def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, 
     common, own = (COMMON, OWN) if own is None else (np.zeros(6), own)
     effective = commands if deviation is None else commands + deviation(commands)
     T = hexapod.forward(effective, true)
+    rng = rng if noise_seed is None else np.random.default_rng(noise_seed)
     if noisy:
         shared = common * rng.normal(size=6)
         T = T * exp(shared + own * rng.normal(size=(count, 6)))
