@@ -48,3 +48,15 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     state.write_text("{")
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
     assert "cut off" in capsys.readouterr().err
+
+
+def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
+    out = tmp_path / "machine.hal"
+    assert main(["export", str(rig_file), "--format", "genhexkins", "--out", str(out)]) == 0
+    assert "setp genhexkins.base.0.x 291.1" in out.read_text() and "setp offset.5.offset" in out.read_text()
+    assert main(["export", str(rig_file), "--format", "csv"]) == 0
+    assert "strut,base_x" in capsys.readouterr().out
+    assert main(["export", str(rig_file), "--format", "urdf"]) == 1
+    assert "kind 'hexapod'" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "typo.json"), "--format", "json"]) == 1
+    assert "typo.json: no such file" in capsys.readouterr().err
