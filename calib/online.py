@@ -22,7 +22,7 @@ from rig.writing import write_text
 
 SCHEMA = "online/1"
 LARGEST = 6  # changes at one pose
-AGAIN = (32, 128)  # poses after which all up to then are linearised again
+AGAIN = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,12 +100,12 @@ class Online:
         waiting, before = self.held, self._state()
         for each in (*waiting, raw):
             self._learn(each, innovation)
-        found = judge(self._evidence())
+        found = self._judged(innovation)
         if waiting and not found and (innovation @ innovation < SUSPECT or self._quiet(before, raw, innovation)):
             dropped, waiting = tuple(each[0] for each in waiting), ()  # those held were wrong, each alone
             self._restore(before)
             self._learn(raw, innovation)
-            found = judge(self._evidence())
+            found = self._judged(innovation)
         while found and len(changes) < LARGEST:
             changes += found
             found = self._open(found, innovation)
@@ -116,9 +116,19 @@ class Online:
             if len(self.held) == WINDOW:  # nothing explains them: the oldest is given up
                 dropped, self.held = (*dropped, self.held[0][0]), self.held[1:]
         elif self.first is not None and len(self.first) in AGAIN:
-            self._again()
+            self._again(innovation)
         self.number += 1
         return Update(self.number - 1, innovation.copy(), tuple(changes), bool(self.held), dropped)
+
+    def _judged(self, innovation):
+        """Changes that the last poses bear out; early on, when a pose may still move the estimate far, only once linearised there."""
+        found = judge(self._evidence())
+        for _ in range(2):
+            if self.first is None or not (found or innovation @ innovation > SUSPECT):
+                break
+            self._again(innovation)
+            found = judge(self._evidence())
+        return found
 
     def _quiet(self, before, raw, innovation):
         """Whether a pose agrees with the state before; the state is then as it was after `before` and this pose."""
@@ -148,6 +158,7 @@ class Online:
     def _restore(self, state):
         p, s, S, sums, self.count, self.recent, self.first = state
         self.p, self.s, self.S, self.sums = p.copy(), s.copy(), S.copy(), sums.copy()
+        follow(self.p, self.s, self.S)
 
     def _evidence(self):
         """Evidence of the last 1, 2, .. poses."""
@@ -187,17 +198,16 @@ class Online:
         both = np.linalg.qr(np.block([[np.eye(r), np.zeros((r, k))], [-R @ g, R]]), mode="r")
         self.S[:, :k] = both[r:, r:]
 
-    def _again(self):
-        """All poses so far once more from the prior, linearised about the present estimate."""
-        k, c, poses, recent = len(self.S), len(self.s), self.first, self.recent
+    def _again(self, innovation):
+        """All poses so far once more from the prior, linearised about the present estimate; innovation : gets the last one's."""
+        k, c, poses = len(self.S), len(self.s), self.first
         self.S[:] = 0
         self.S[np.arange(k), np.arange(k)] = np.r_[np.ones(c), np.full(42, 1 / self.prior)]
         self.S[:, k] = np.r_[-self.s, (parameters(self.nominal) - self.p) / self.prior]
-        self.first = None
+        self.sums[:], self.recent, self.first = 0, [], []
         for raw in poses:
-            self._learn(raw, np.empty(6), move=False)
+            self._learn(raw, innovation, move=False)
         follow(self.p, self.s, self.S)
-        self.sums[:], self.first, self.recent = 0, poses, recent[:0]
 
     def save(self, path):
         """Write the state, whole or not at all: the filter before its last poses, and those."""

@@ -60,3 +60,20 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
     assert "kind 'hexapod'" in capsys.readouterr().err
     assert main(["export", str(tmp_path / "typo.json"), "--format", "json"]) == 1
     assert "typo.json: no such file" in capsys.readouterr().err
+
+
+def test_measuring_limbs_pass_and_teach(tmp_path, capsys):
+    rig, rec, state = tmp_path / "rig.toml", tmp_path / "rec", tmp_path / "state.json"
+    assert main(["design", "--radius", "0.3", "--limbs", "--out", str(rig)]) == 0
+    assert main(["simulate", str(rig), "--plan", "axes:5,sobol:40", "--out", str(rec)]) == 0
+    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4"]) == 0
+    said = capsys.readouterr().out
+    assert "the measuring limbs pass" in said and "70 poses from the limbs learnt, vision agreed at all of 4 checks" in said and state.exists()
+    assert main(["insitu", str(rec), "--tolerance", "5e-6", "1e-5"]) == 1
+    assert "the measuring limbs do not pass" in capsys.readouterr().out
+
+
+def test_a_rig_without_limbs_says_so(rig_file, tmp_path, capsys):
+    assert main(["simulate", str(rig_file), "--plan", "sobol:3", "--out", str(tmp_path / "rec")]) == 0
+    assert main(["insitu", str(tmp_path / "rec")]) == 1
+    assert "no [insitu] table" in capsys.readouterr().err
