@@ -103,7 +103,8 @@ def from_truth(path, stated):
         limbs = stated.insitu
         if limbs is not None and "insitu" in tree:
             limbs = replace(limbs, **tree["insitu"])
-        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), tuple(from_dict(entry) for entry in tree["effects"]))
+        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs),
+                     tuple(from_dict(entry) for entry in tree["effects"]))
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
     except json.JSONDecodeError as error:

@@ -9,16 +9,23 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib import joint
+from calib import insitu, joint
+from calib.exchange import CRITERIA, choose
 from calib.identify import PRIOR, identify, parameters, pose_jacobian, with_parameters
-from calib.observability import combinations
+from calib.learners import Drifting, FirstOrder, Forgetting
+from calib.observability import PLAUSIBLE, combinations
+from calib.online import Online
 from calib.pipeline import sample_recording
-from rig import design_file, layout, recording
+from rig import design_file, layout, plan, recording
+from rig.export import genhexkins
 from rig.mechanisms import hexapod
 from rig.pose import difference, exp
+from synthetic import simulation, world
 from tests.calib.designs import worst_jacobian
+from tests.calib.streams import found_within, learnt, missed_step, stream
 from tests.calib.worlds import sampled
 from tests.conftest import SHARED
+from tests.rig.genhexkins import forward as genhex_forward
 
 RUNS = 500
 MORE_RUNS = 2500  # from which the spread along one combination is known to 1.4 %
@@ -33,6 +40,11 @@ def rows():
     yield "J_p against differences, 1000 random machines and poses, worst", f"{worst_jacobian(1000, 0):.1e}", "<= 1e-6"
     yield from _batch(design)
     yield from _scatter(design)
+    yield from _plans(design)
+    yield from _online(design)
+    yield from _jumps(design)
+    yield from _exports(design)
+    yield from _limbs()
     if SHARED.is_dir():
         yield from _joint()
     else:
@@ -80,6 +92,90 @@ def _scatter(design):
     yield f"z-scores, {RUNS} runs: spread over all", f"{some.std():.3f}", "0.95 .. 1.05"
     spread = z.std(axis=0)
     yield f"z-scores, {MORE_RUNS} runs: spread along each combination", f"{spread.min():.3f} .. {spread.max():.3f}", "0.95 .. 1.05"
+
+
+def _plans(design):
+    for criterion in CRITERIA:
+        start = time.perf_counter()
+        found = choose(design.mechanism, 60, (1e-5, 1e-4), criterion)
+        seconds = time.perf_counter() - start
+        s, even = (np.linalg.svd(root * PLAUSIBLE, compute_uv=False) for root in (found.root, found.even))
+        better = f"{(s.prod() / even.prod()) ** (1 / 42):.2f}, {s[-1] / even[-1]:.2f} x"
+        yield f"60 poses by {criterion} ({seconds:.1f} s) over evenly spread: all 42, worst combination", better, ""
+        yield f"60 poses by {criterion}: condition number, evenly spread", f"{s[0] / s[-1]:.0f}, {even[0] / even[-1]:.0f}", ""
+
+
+def _online(design):
+    samples, true = sampled(design, 1, count=1000)
+    batch = identify(samples, design.mechanism)
+    along = np.array([part.direction for part in combinations(batch.root, batch.hexapod)[0]])
+    sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
+    alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
+    rest = identify(alone, design.mechanism)
+    ways = {"square-root filter, 6 shared errors": (Online(design.mechanism, shared=6), samples, batch),
+            "square-root filter": (Online(design.mechanism), alone, rest),
+            "directional forgetting, none forgotten": (Forgetting(design.mechanism, 1.0), alone, rest),
+            "directional forgetting, 0.99 kept": (Forgetting(design.mechanism), alone, rest),
+            "iterated Kalman filter, drift 0.1 um": (Drifting(design.mechanism), alone, rest),
+            "first order": (FirstOrder(design.mechanism), alone, rest)}
+    for name, (learner, data, best) in ways.items():
+        times, more = [], (data.common,) if name.endswith("errors") else ()
+        for x, T, C, *B in zip(data.commanded, data.T_base_platform, data.covariance, *more):
+            start = time.perf_counter()
+            learner.update(x, T, C, *B)
+            times.append(time.perf_counter() - start)
+        apart = np.abs(along @ (learner.p - parameters(best.hexapod)) / sigma).max()
+        wanted = "<= 0.1 sigma, 150 us" if name.startswith("square") else ""
+        yield f"one pass over 1000 poses, {name}: from the batch; update, median", f"{apart:.4f} sigma; {np.median(times) * 1e6:.0f} us", wanted
+
+
+def _jumps(design):
+    found, wrong, sizes = 0, 0, []
+    for seed in range(200):
+        poses, _, updates, strut, size = missed_step(design, seed)
+        found += found_within(updates, poses.at, strut)
+        sizes += [(c.size - size) / c.sigma for u in updates for c in u.changes if c.strut == strut][:1]
+    yield "200 streams, one missed step of 4-10 sigma: found within three poses, as that strut's", f"{found / 2:.1f} %", ">= 98 %"
+    yield "its size less the true one, over its standard error: mean, spread", f"{np.mean(sizes):.2f}, {np.std(sizes):.2f}", ""
+    for seed in range(100):
+        wrong += sum(len(u.changes) + len(u.dropped) for u in learnt(design, stream(design, 5000 + seed, 1000))[1])
+    yield "100 000 quiet poses in 100 streams: changes flagged or poses left out", f"{wrong}", "<= 1"
+
+
+def _exports(design):
+    true = world.draw(design, np.random.default_rng(0)).true
+    commands = plan.low_discrepancy(true.mechanism.strut_range, 200, 0.9)
+    theirs = genhex_forward(genhexkins.text(true.mechanism), commands, design.mechanism.home, 1e3)
+    worst = np.linalg.norm(difference(hexapod.forward(commands, true.mechanism), theirs)[:, :3], axis=1).max()
+    yield "genhexkins' forward kinematics from the exported numbers alone, 200 poses, worst", f"{worst:.1e} m", "<= 1e-9 m"
+
+
+def _limbs():
+    with tempfile.TemporaryDirectory() as folder:
+        text, path = layout.layout(0.3, limbs=True), Path(folder) / "rig.toml"
+        path.write_text(text)
+        design, rng = design_file.load(path), np.random.default_rng(0)
+        done = simulation.simulate(world.draw(design, rng), plan.build(design, "axes:9,sobol:150"), rng)
+        simulation.write(done, Path(folder) / "rec", text, rng, noise=0.04)
+        read = recording.load(Path(folder) / "rec")
+        frames, lengths = insitu.readings(read)
+        samples, nominal = insitu.read(sample_recording(read).samples, frames, lengths), insitu.stated(design)
+    T, expected = insitu.held_out(samples, nominal, 1e-6)
+    found = insitu.agreement(samples.T_base_platform, T, expected, (5e-5, 2e-4))
+    for part, name, unit in ((slice(0, 3), "position", "um"), (slice(3, 6), "rotation", "urad")):
+        bias, scatter, claim, surely = (np.abs(v[part]).max() * 1e6 for v in (found.bias, found.scatter, found.expected, found.surely))
+        yield (f"measuring limbs less vision, {found.n} poses, worst axis in {name}: bias, scatter (expected), limits",
+               f"{bias:.1f}, {scatter:.1f} ({claim:.1f}), {surely:.1f} {unit}", "50 um, 200 urad")
+    limbs, _ = insitu.calibrated(samples, nominal, 1e-6)
+    T = limbs.pose(lengths)
+    learner, true = Online(read.design.mechanism, shared=42), done.world.true.mechanism
+    for each in zip(read.commanded()[2], T, *limbs.uncertainty(T)):
+        learner.update(*each)
+    spread = plan.low_discrepancy(true.strut_range, 500, 0.9)
+    error = difference(hexapod.forward(spread, true), hexapod.forward(spread, learner.hexapod))
+    before = difference(hexapod.forward(spread, true), hexapod.forward(spread, design.mechanism))
+    rms = [np.sqrt((e[:, :3] ** 2).sum(axis=1).mean()) * 1e6 for e in (before, error)]
+    yield "struts learnt from the limbs' poses: model's pose error before, after", f"{rms[0]:.0f}, {rms[1]:.1f} um", ""
 
 
 def _joint():
