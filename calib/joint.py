@@ -32,12 +32,13 @@ class Joint:
     residuals: np.ndarray
 
 
-def solve(observations, commanded, state, stated, nominal):
+def solve(observations, commanded, state, stated, nominal, start=None):
     """Joint of corners whose frames all were commanded, with every camera fixed.
 
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
     state : State to start from (cameras as adjusted); stated : Cameras as their owner has them, the lenses' prior
-    nominal : Hexapod, the geometry's prior (5 mm). Raises RigError for moving cameras or base targets that are not there.
+    nominal : Hexapod, the geometry's prior (5 mm); start : Hexapod to start from, nominal by default
+    Raises RigError for moving cameras or base targets that are not there.
     """
     if state.moving:
         raise RigError("a joint solve takes fixed cameras; moving ones are located frame by frame")
@@ -48,7 +49,7 @@ def solve(observations, commanded, state, stated, nominal):
     starts = 42 + np.r_[0, np.cumsum(sizes)]
     mean = np.concatenate([parameters(nominal), *[np.r_[np.zeros(6), _lens(c)] for c in stated]])
     sigma = np.concatenate([np.full(42, PRIOR), *[np.r_[np.full(6, np.inf), lens_prior(c)] for c in stated]])
-    begin = np.concatenate([parameters(nominal), *[np.r_[np.zeros(6), _lens(c)] for c in state.cameras]])
+    begin = np.concatenate([parameters(nominal if start is None else start), *[np.r_[np.zeros(6), _lens(c)] for c in state.cameras]])
     guess = [state.platform]
 
     def at(p):
@@ -86,6 +87,22 @@ def solve(observations, commanded, state, stated, nominal):
     p = found.parameters[np.argsort(order)]
     done = at(p)
     return Joint(with_parameters(nominal, p[:42]), done.cameras, found.covariance[-42:, -42:], found.root[-42:, -42:], found.residual)
+
+
+def refine(sampled, design, correction, found):
+    """(Correction, Identified) with geometry and covariance from the joint solve of a recording's corners.
+
+    sampled : pipeline.Sampled; design : Design as stated; correction, found : as `calibrate` gives them
+    Raises RigError for poses that no camera saw, or where struts scatter, so that a command does not give a frame's pose
+    """
+    if sampled.measurement is None:
+        raise RigError(f"a joint solve takes corners or images; these poses came from {sampled.source}")
+    if found.scatter.any():
+        i = int(np.argmax(found.scatter))
+        raise RigError(f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by {found.scatter[i] * 1e6:.1f} um beyond the poses")
+    corners, commanded, state = commanded_state(sampled.measurement, sampled.samples.take(found.inliers))
+    done = solve(corners, commanded - correction.rho(commanded), state, design.cameras, correction.nominal, found.hexapod)
+    return replace(correction, fitted=done.hexapod), replace(found, hexapod=done.hexapod, covariance=done.covariance, root=done.root)
 
 
 def commanded_state(measured, samples):

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from rig.errors import NotEnoughData, RigError
 
 MAX_ITERATIONS = 30
+CHUNK = 2048  # rows reduced at a time, so that the work stays in the cache
 SETTLED = 1e-5  # standard deviations; the length of the last step, all parameters together
 GATE = 1e-9  # share of honest blocks that lie beyond and are lost
 
@@ -90,6 +91,8 @@ def _triangle(linear, inliers, basis):
 
 def _r(rows, width):
     """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
+    if len(rows) > 2 * CHUNK:
+        rows = np.concatenate([np.linalg.qr(rows[at : at + CHUNK], mode="r") for at in range(0, len(rows), CHUNK)])
     R = np.linalg.qr(rows, mode="r")
     return R if len(R) == width else np.concatenate([R, np.zeros((width - len(R), width))])
 

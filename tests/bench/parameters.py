@@ -199,7 +199,7 @@ def _joint():
 
     start = time.perf_counter()
     corners, commanded, state = joint.commanded_state(done.measurement, samples)
-    one = joint.solve(corners, commanded, state, read.design.cameras, nominal)
+    one = joint.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).hexapod)
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)

@@ -44,3 +44,19 @@ def test_moving_cameras_and_missing_base_targets_are_refused(solved):
     on = corners.take(corners.on_platform)
     with pytest.raises(RigError, match="targets on the base"):
         joint.solve(on, commanded, state, read.design.cameras, read.design.mechanism)
+
+
+def test_a_calibration_is_refined_or_the_reason_said(solved, design):
+    from dataclasses import replace
+
+    from calib.correction import calibrate
+
+    _, read, sampled, found, _ = solved
+    correction, two = calibrate(sampled.samples, read.design.mechanism)
+    better, told = joint.refine(sampled, read.design, correction, two)
+    np.testing.assert_allclose(parameters(better.fitted), parameters(found.hexapod), atol=1e-9)
+    np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
+    with pytest.raises(RigError, match="came from poses.csv"):
+        joint.refine(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
+    with pytest.raises(RigError, match="strut 2 scatters by 30.0 um"):
+        joint.refine(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))
