@@ -14,7 +14,7 @@ import numpy as np
 from calib.identify import PRIOR, parameters, with_parameters
 from calib.jumps import SUSPECT, Evidence, judge
 from calib.observability import gauge
-from calib.square_root import KINDS, SUMS, WINDOW, follow, learn
+from calib.square_root import ALARM, KINDS, REFUSED, SUMS, WINDOW, follow, learn
 from rig.design import Hexapod
 from rig.errors import FileError, RigError
 from rig.pose import pose, vector
@@ -46,12 +46,13 @@ class Online:
         self.nominal, self.prior = nominal, float(prior)
         self.home = np.ascontiguousarray(nominal.home.as_matrix())
         self.scatter = np.zeros(6) if scatter is None else np.asarray(scatter, float)
+        self.variance = self.scatter**2
         k = shared + 42
         S = np.zeros((k, k + 1 + KINDS * WINDOW))
         S[np.arange(k), np.arange(k)] = np.r_[np.ones(shared), np.full(42, 1 / self.prior)]
         self.p, self.s, self.S, self.sums, self.count = parameters(nominal), np.zeros(shared), S, np.zeros((WINDOW, SUMS)), 0
-        self.number, self.held = 0, ()
-        self.recent = []  # (state before, pose, struts' products and squares) of the last WINDOW poses
+        self.number, self.held, self.said = 0, (), 0
+        self.recent = []  # (state before, pose, its own sums) of the last WINDOW poses
         self.first = []  # poses to linearise again; None once that is over
 
     @property
@@ -89,17 +90,17 @@ class Online:
                              f"and {common.shape}")
         start, held = self._state(), self.held
         try:
-            return self._take(raw)
+            return self._take(raw, start)
         except RigError:
             self._restore(start)
             self.held = held
             raise
 
-    def _take(self, raw):
-        innovation, changes, dropped = np.empty(6), [], ()
-        waiting, before = self.held, self._state()
+    def _take(self, raw, before):
+        """Update with a pose. before : the state, which is now"""
+        innovation, changes, dropped, waiting = np.empty(6), [], (), self.held
         for each in (*waiting, raw):
-            self._learn(each, innovation)
+            self._learn(each, innovation, state=before if each is raw and not waiting else None)
         found = self._judged(innovation)
         if waiting and not found and (innovation @ innovation < SUSPECT or self._quiet(before, raw, innovation)):
             dropped, waiting = tuple(each[0] for each in waiting), ()  # those held were wrong, each alone
@@ -139,16 +140,15 @@ class Online:
         self._restore(after)
         return agrees
 
-    def _learn(self, raw, innovation, move=True):
+    def _learn(self, raw, innovation, move=True, state=None):
+        """Take in a pose. state : the present state where the caller has it already"""
         number, x, R, t, C, common = raw
-        before = self._state()
-        done = learn(x, R, t, C, common, self.scatter**2, self.home, self.p, self.s, self.S, self.sums, self.count % WINDOW, innovation, move)
-        if not done:
+        before = self._state() if state is None else state
+        self.said = learn(x, R, t, C, common, self.variance, self.home, self.p, self.s, self.S, self.sums, self.count % WINDOW, innovation, move)
+        if self.said == REFUSED:
             raise RigError(f"pose {number}: the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         self.count += 1
-        own = self.sums[(self.count - 1) % WINDOW]
-        single = np.stack([own[1:7], own[1 + KINDS : -1 : KINDS + 1][:6]])
-        self.recent = [*self.recent[1 - WINDOW :], (before, raw, single)]
+        self.recent = [*self.recent[1 - WINDOW :], (before, raw, self.sums[(self.count - 1) % WINDOW].copy())]
         if self.first is not None:
             self.first = [*self.first, raw] if len(self.first) < AGAIN[-1] else None
 
@@ -161,13 +161,15 @@ class Online:
         follow(self.p, self.s, self.S)
 
     def _evidence(self):
-        """Evidence of the last 1, 2, .. poses."""
+        """Evidence of the last 1, 2, .. poses; none where no hypothesis can hold."""
         found = []
+        if self.said != ALARM:
+            return found
         for poses in range(1, len(self.recent) + 1):
             total = self.sums[(self.count - poses) % WINDOW]
             if round(total[-1]) != poses:
                 break
-            single = np.array([single for _, _, single in self.recent[-poses:]])
+            single = np.array([[own[1:7], own[1 + KINDS : -1 : KINDS + 1][:6]] for _, _, own in self.recent[-poses:]])
             found.append(Evidence(self.recent[-poses][1][0], total[0], total[1 : 1 + KINDS], total[1 + KINDS : -1].reshape(KINDS, KINDS), single))
         return found
 

@@ -11,9 +11,12 @@ import numpy as np
 from numba import njit
 
 from calib.closed_loop import pose_of, row
+from calib.jumps import JUMP, MOVED
 
 WINDOW = 3  # poses within which a jump must show
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base
+REFUSED, QUIET, ALARM = 0, 1, 2  # what `learn` says
+LEAST = MOVED[2]  # innovations squared below which no hypothesis of calib/jumps.py but a strut's can hold
 SUMS = 1 + KINDS + KINDS * KINDS + 1  # per onset: innovation squared, its products with the signatures, the signatures' own, poses
 
 
@@ -83,7 +86,8 @@ def follow(p, s, S):
 
 @njit(cache=True)
 def learn(command, R_measured, t_measured, covariance, common, scatter, home, p, s, S, sums, slot, innovation, move):
-    """One pose into the state, in place. Returns whether the command closes on a pose near home and all is regular; else nothing changed.
+    """One pose into the state, in place. Returns REFUSED where the command closes on no pose near home or something is not regular;
+    then nothing changed. Else ALARM where something may have jumped, or QUIET.
 
     command : (6,) m; covariance : (6, 6); common : (6, c) tangent; scatter : (6,) m^2; home : (4, 4)
     p : (42,) parameters; s : (c,) shared draw; S : (c + 42, c + 43 + KINDS WINDOW) triangle; sums : (WINDOW, SUMS)
@@ -94,14 +98,14 @@ def learn(command, R_measured, t_measured, covariance, common, scatter, home, p,
     k = c + 42
     R, t = home[:3, :3].copy(), home[:3, 3].copy()
     if not pose_of(command, p, R, t):
-        return False
+        return REFUSED
     right, J, motion = np.empty((6, 7 + c)), np.zeros((6, 42)), np.empty((6, 6))
     frame_motion(R, t, motion)
     right[:, 1 : 1 + c] = common
     right[:, 1 + c :] = motion
     well, struts = row(R, t, p, R_measured, t_measured, covariance, scatter, right, J)
     if not well:
-        return False
+        return REFUSED
     S[:, k + 1 + KINDS * slot : k + 1 + KINDS * (slot + 1)] = 0.0
     sums[slot] = 0.0
     sums[slot, -1] = 1e-9  # begun
@@ -132,4 +136,11 @@ def learn(command, R_measured, t_measured, covariance, common, scatter, home, p,
             sums[w, -1] += 1.0
     if move:
         follow(p, s, S)
-    return True
+    for w in range(WINDOW):
+        if sums[w, -1] > 0:
+            if sums[w, 0] > LEAST:
+                return ALARM
+            for a in range(6):
+                if sums[w, 1 + a] ** 2 > JUMP**2 * sums[w, 1 + KINDS + (KINDS + 1) * a]:
+                    return ALARM
+    return QUIET
