@@ -40,16 +40,18 @@ class Update:
 class Online:
     """The filter. Its estimate is `hexapod`, with `covariance`; `save` and `load` carry it over a restart exactly."""
 
-    def __init__(self, nominal: Hexapod, prior=PRIOR, shared=0, scatter=None):
-        """nominal : Hexapod; prior : m, how far its parameters may be off; shared : draws that all poses' errors have in common
-        scatter : (6,) m of each strut beyond the poses' covariance, or None"""
-        self.nominal, self.prior = nominal, float(prior)
+    def __init__(self, nominal: Hexapod, shared=0, scatter=None, covariance=None):
+        """nominal : Hexapod to start from; shared : draws that all poses' errors have in common
+        scatter : (6,) m of each strut beyond the poses' covariance, or None
+        covariance : (42, 42) m^2 of the start, from a calibration, or None for what an owner's figures are worth (5 mm)"""
+        self.nominal = nominal
+        self.root = np.eye(42) / PRIOR if covariance is None else np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r")
         self.home = np.ascontiguousarray(nominal.home.as_matrix())
         self.scatter = np.zeros(6) if scatter is None else np.asarray(scatter, float)
         self.variance = self.scatter**2
         k = shared + 42
         S = np.zeros((k, k + 1 + KINDS * WINDOW))
-        S[np.arange(k), np.arange(k)] = np.r_[np.ones(shared), np.full(42, 1 / self.prior)]
+        S[:shared, :shared], S[shared:, shared:k] = np.eye(shared), self.root
         self.p, self.s, self.S, self.sums, self.count = parameters(nominal), np.zeros(shared), S, np.zeros((WINDOW, SUMS)), 0
         self.number, self.held, self.said = 0, (), 0
         self.recent = []  # (state before, pose, its own sums) of the last WINDOW poses
@@ -158,7 +160,6 @@ class Online:
     def _restore(self, state):
         p, s, S, sums, self.count, self.recent, self.first = state
         self.p, self.s, self.S, self.sums = p.copy(), s.copy(), S.copy(), sums.copy()
-        follow(self.p, self.s, self.S)
 
     def _evidence(self):
         """Evidence of the last 1, 2, .. poses; none where no hypothesis can hold."""
@@ -204,8 +205,8 @@ class Online:
         """All poses so far once more from the prior, linearised about the present estimate; innovation : gets the last one's."""
         k, c, poses = len(self.S), len(self.s), self.first
         self.S[:] = 0
-        self.S[np.arange(k), np.arange(k)] = np.r_[np.ones(c), np.full(42, 1 / self.prior)]
-        self.S[:, k] = np.r_[-self.s, (parameters(self.nominal) - self.p) / self.prior]
+        self.S[:c, :c], self.S[c:, c:k] = np.eye(c), self.root
+        self.S[:, k] = np.r_[-self.s, self.root @ (parameters(self.nominal) - self.p)]
         self.sums[:], self.recent, self.first = 0, [], []
         for raw in poses:
             self._learn(raw, innovation, move=False)
@@ -217,7 +218,7 @@ class Online:
         tree = {"schema": SCHEMA, "nominal": {"base_joints": self.nominal.base_joints.tolist(), "strut_zeros": self.nominal.strut_zeros.tolist(),
                                               "platform_joints": self.nominal.platform_joints.tolist(), "home": vector(self.nominal.home).tolist(),
                                               "strut_range": self.nominal.strut_range.tolist()},
-                "prior": self.prior, "scatter": self.scatter.tolist(), "p": p.tolist(), "s": s.tolist(), "S": S[:, : len(S) + 1].tolist(),
+                "root": self.root.tolist(), "scatter": self.scatter.tolist(), "p": p.tolist(), "s": s.tolist(), "S": S[:, : len(S) + 1].tolist(),
                 "number": self.number, "recent": [_out(raw) for _, raw, _ in self.recent], "held": [_out(raw) for raw in self.held],
                 "first": None if first is None else [_out(raw) for raw in first]}
         write_text(path, json.dumps(tree) + "\n")
@@ -231,7 +232,8 @@ class Online:
                 raise FileError(path, f'is no state of on-line learning: its schema is {tree["schema"]!r}, not "{SCHEMA}"')
             m, home = tree["nominal"], np.array(tree["nominal"]["home"])
             nominal = Hexapod(m["base_joints"], m["platform_joints"], m["strut_range"], pose(home[:3], home[3:]), m["strut_zeros"])
-            made = cls(nominal, tree["prior"], len(tree["s"]), tree["scatter"])
+            made = cls(nominal, len(tree["s"]), tree["scatter"])
+            made.root = np.array(tree["root"], float).reshape(42, 42)
             made.p, made.s = np.array(tree["p"]), np.array(tree["s"])
             made.S[:, : len(made.S) + 1] = tree["S"]
             made.first = None if tree["first"] is None else [_in(raw, len(made.s)) for raw in tree["first"]]

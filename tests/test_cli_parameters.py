@@ -77,3 +77,14 @@ def test_a_rig_without_limbs_says_so(rig_file, tmp_path, capsys):
     assert main(["simulate", str(rig_file), "--plan", "sobol:3", "--out", str(tmp_path / "rec")]) == 0
     assert main(["insitu", str(tmp_path / "rec")]) == 1
     assert "no [insitu] table" in capsys.readouterr().err
+
+
+def test_learning_goes_on_from_a_calibration(rig_file, tmp_path, capsys):
+    for name, effect in (("before", []), ("after", ["--effect", "missed_steps:strut5:jump=-9e-5,time=0.5"])):
+        assert main(["simulate", str(rig_file), "--plan", "sobol:40", *effect, "--out", str(tmp_path / name)]) == 0
+    assert main(["calibrate", str(tmp_path / "before"), "--out", str(tmp_path / "c.json")]) == 0
+    capsys.readouterr()
+    assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "c.json")]) == 0
+    said = capsys.readouterr().out
+    assert "frame 1: from frame 0 on strut 5 is longer by -0.0" in said and said.count("longer") == 1
+    assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "typo.json")]) == 1

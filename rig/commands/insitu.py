@@ -62,6 +62,7 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
     import numpy as np
 
     from calib import insitu
+    from calib.identify import parameters
     from calib.online import Online
     from rig.commands.online import said
 
@@ -91,8 +92,7 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
         for number in update.dropped:
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
     learner.save(state)
-    moved = learner.p - np.concatenate([part.ravel() for part in (learner.nominal.base_joints, learner.nominal.platform_joints,
-                                                                 learner.nominal.strut_zeros)])
+    moved = learner.p - parameters(learner.nominal)
     print(f"{len(frames)} poses from the limbs learnt, vision agreed at all of {checked} checks; joints and zeros moved by "
           f"{np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS, known to {np.sqrt(np.mean(np.diag(learner.covariance))) * 1e3:.4f} mm RMS")
     print(f"written: {state}")

@@ -5,11 +5,14 @@ from pathlib import Path
 from rig.commands.output import Progress, fresh_file, print_unsolved
 from rig.errors import RigError
 
+MANY = 6  # changes beyond which they are not believed to be steps
+
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
 
 
 def run(arguments):
@@ -24,9 +27,11 @@ def run(arguments):
 
     import numpy as np
 
+    from calib.identify import parameters
     from calib.online import Online
     from calib.pipeline import sample_recording
 
+    calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
     goes_on = state is not None and state.exists()
     learner = Online.load(state) if goes_on else None
     sampled = sample_recording(recording, progress=Progress())
@@ -35,17 +40,23 @@ def run(arguments):
     if goes_on:
         learner.new_session(shared)
         print(f"going on after {learner.number} poses")
+    elif calibration is not None:
+        learner = Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance)
     else:
-        learner = Online(mechanism, shared=shared)
-    updates = [learner.update(x, T, C, B) for x, T, C, B in zip(samples.commanded, samples.T_base_platform, samples.covariance, samples.common)]
+        learner = Online(mechanism, shared)
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    updates = [learner.update(x, T, C, B) for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common)]
     first = updates[0].number
     for update in updates:
         for change in update.changes:
             print(f"frame {samples.frame[update.number - first]}: {said(change, samples.frame[max(change.onset - first, 0)])}")
         for number in update.dropped:
             print(f"frame {samples.frame[number - first]}: its pose agrees with no other and is left out")
+    count = sum(len(update.changes) for update in updates)
+    if count > MANY:
+        print(f"{count} changes in {len(samples)} poses are no few steps: something acts on the struts or the measurement that the geometry lacks")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
-    moved = learner.p - np.concatenate([mechanism.base_joints.ravel(), mechanism.platform_joints.ravel(), mechanism.strut_zeros])
+    moved = learner.p - parameters(mechanism)
     sigma = np.sqrt(np.diag(learner.covariance))
     print(f"{len(samples)} poses from {sampled.source}, one at a time: innovations are {innovation:.3f} of what was expected "
           "(1 where nothing is left out)")
@@ -55,6 +66,16 @@ def run(arguments):
     if state is not None:
         learner.save(state)
         print(f"written: {state}")
+
+
+def _calibration(path, mechanism):
+    """Calibration of a hexapod. Raises RigError for another mechanism's."""
+    from calib import store
+
+    found = store.load(path)
+    if found.correction.fitted.kind != mechanism.kind:
+        raise RigError(f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the recording's is {mechanism.kind!r}")
+    return found
 
 
 def said(change, frame):

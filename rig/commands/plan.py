@@ -43,6 +43,8 @@ def _parameters(arguments):
 
     if arguments.calibration:
         mechanism = store.load(arguments.calibration).correction.fitted
+        if mechanism.kind != "hexapod":
+            raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {mechanism.kind!r}, not of a hexapod")
     given = _given(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     chosen = choose(mechanism, arguments.count, arguments.sigma, arguments.criterion, given, SEED,

@@ -28,7 +28,7 @@ def test_each_criterion_is_best_at_its_own(chosen):
     even = singular(chosen["noise"].even)
     assert s["determinant"].prod() > s["noise"].prod() > even.prod()
     index = {name: values[-1] ** 2 / values[0] for name, values in {**s, "even": even}.items()}
-    assert index["noise"] > index["determinant"] and index["noise"] > 2 * index["even"]
+    assert index["noise"] > 1.07 * index["determinant"] and index["noise"] > 2 * index["even"]
 
 
 def test_no_single_exchange_pays_any_more(chosen, design):

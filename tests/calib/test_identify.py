@@ -101,3 +101,15 @@ def test_too_few_poses_are_refused(design):
     samples, _ = sampled(design, 1)
     with pytest.raises(NotEnoughData, match="6 poses cannot determine 42"):
         identify(samples.take(np.arange(6)), design.mechanism)
+
+
+@pytest.mark.slow
+def test_z_scores_of_five_hundred_runs(design):
+    """Along every combination that the poses determine: no bias, and scatter as claimed."""
+    along, z = None, []
+    for seed in range(500):
+        samples, true = sampled(design, seed, count=200)
+        found = identify(samples, design.mechanism)
+        along = np.linalg.svd(found.root)[2] if along is None else along
+        z.append(along @ (parameters(found.hexapod) - parameters(true)) / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along)))
+    assert np.abs(np.mean(z, axis=0)).max() < 0.15 and np.std(z) == pytest.approx(1, abs=0.05)

@@ -12,7 +12,7 @@ from calib.online import Online
 from calib.samples import Samples
 from rig.errors import FileError, RigError
 from tests.calib.streams import COVARIANCE, found_within, learnt, missed_step, stream
-from tests.calib.worlds import sampled
+from tests.calib.worlds import OWN, sampled
 
 
 def off(learner, true):
@@ -25,9 +25,9 @@ def said(updates):
     return [(u.number, u.held, u.dropped, [(c.kind, c.strut, c.onset) for c in u.changes]) for u in updates if u.changes or u.held or u.dropped]
 
 
-@pytest.mark.parametrize("shared", [0, 6])
-def test_one_pass_ends_where_the_batch_does(design, shared):
-    samples, _ = sampled(design, 2, count=250)
+@pytest.mark.parametrize("shared, count", [(0, 250), (6, 250), (0, 16)])  # 16: all are linearised again just then
+def test_one_pass_ends_where_the_batch_does(design, shared, count):
+    samples, _ = sampled(design, 2, count=count)
     samples = replace(samples, common=samples.common[:, :, :shared], covariance=samples.covariance if shared else samples.total_covariance())
     batch = identify(samples, design.mechanism)
     learner = Online(design.mechanism, shared=shared)
@@ -37,6 +37,19 @@ def test_one_pass_ends_where_the_batch_does(design, shared):
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     assert np.abs(along @ (learner.p - parameters(batch.hexapod)) / sigma).max() < 0.02
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=2e-3)
+
+
+def test_a_calibration_is_gone_on_from(design):
+    """Learnt from one batch's estimate and covariance with the poses of a second: as one batch of both."""
+    samples, _ = sampled(design, 4, count=300, own=OWN)
+    samples = replace(samples, common=samples.common[:, :, :0])
+    first, both = (identify(part, design.mechanism) for part in (samples.take(np.arange(150)), samples))
+    learner = Online(first.hexapod, covariance=first.covariance)
+    for i in range(150, 300):
+        learner.update(samples.commanded[i], samples.T_base_platform[i], samples.covariance[i])
+    error = learner.p - parameters(both.hexapod)
+    assert error @ np.linalg.solve(both.covariance, error) < 0.05
+    np.testing.assert_allclose(np.diag(learner.covariance), np.diag(both.covariance), rtol=5e-3)
 
 
 def test_innovations_are_white(design):
@@ -111,6 +124,17 @@ def test_sessions_with_errors_of_their_own_add_up(design):
     error = learner.p - parameters(batch.hexapod)
     assert error @ np.linalg.solve(batch.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=5e-3)
+
+
+def test_a_pose_that_is_wrong_early_is_left_out_entirely(design):
+    """While the estimate still moves far with every pose, and all poses are linearised again before one is judged."""
+    poses = stream(design, 3, 31)
+    T = poses.T.as_matrix().copy()
+    T[30, :3, 3] += [8e-4, 0, 4e-4]
+    learner, updates = learnt(design, replace(poses, T=RigidTransform.from_matrix(T)))
+    assert said(updates) == [(30, True, (), [])]
+    clean, _ = learnt(design, replace(poses, T=poses.T[:30], commands=poses.commands[:30]))
+    assert np.abs((learner.p - clean.p) / np.sqrt(np.diag(clean.covariance))).max() < 0.01
 
 
 @pytest.mark.parametrize("stop", [20, 60, 150, 151, 152])
