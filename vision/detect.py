@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 
 from vision import edges, local_lens, square
+from vision.pattern import GAUSSIAN as GAUSSIAN_TABLE
+from vision.predict import expected
 from vision.targets import marker_cells
 
 FIRST_BLUR = 0.8  # px
@@ -15,12 +17,15 @@ ROOM = 6.0  # px around a marker that its blur may take
 REACH = 3.0  # px from where the reader or a prediction puts them within which the sides of a marker are looked for
 SMALLEST_CELL = 2.5  # px across, below which cells run together
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
+EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
+BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
 MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
 COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
 _REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
-            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle"}
+            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
+            square.NOT_READ: "its bits are not to be read where it is expected"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +42,7 @@ class Spread:
         return np.rint(np.asarray(angles) % np.pi / np.pi * count).astype(np.int64) % count
 
 
-GAUSSIAN = Spread(square.GAUSSIAN[None], FIRST_BLUR)
+GAUSSIAN = Spread(GAUSSIAN_TABLE[None], FIRST_BLUR)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +64,10 @@ class Detection:
     left_out: tuple[tuple[int, str], ...]
 
 
-def grey(image):
+def grey(image, reader=True):
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
 
-    Raises ValueError for any other kind.
+    reader : whether the first is wanted. Raises ValueError for any other kind.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
@@ -71,6 +76,8 @@ def grey(image):
     if image.dtype == np.uint8:
         return image, image
     full = image.astype(np.float32) / 257
+    if not reader:
+        return None, full
     top = max(float(np.percentile(full, 99.9)), 1e-3)
     return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
 
@@ -83,13 +90,21 @@ def _detector(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map, spread=GAUSSIAN):
+def detect(image, camera, marker_map, spread=GAUSSIAN, T_base_platform=None):
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
     marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
+    T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
+    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all.
     Returns Detection
     """
+    if T_base_platform is not None:
+        rows, places = expected(camera, T_base_platform, marker_map)
+        found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
+        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], found.marker)
+        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)):
+            return found
     eight, full = grey(image)
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
@@ -105,11 +120,12 @@ def detect(image, camera, marker_map, spread=GAUSSIAN):
     return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out, spread)
 
 
-def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN, careful=False, reach=REACH):
+def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN, careful=False, reach=REACH, verify=False):
     """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
 
     full : (height, width) in 255ths of white; spread : Spread; careful : whether to iterate until corners move by 0.004 px at most
     reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
+    verify : whether a marker's bits are read before it is believed to be there
     """
     guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
@@ -120,7 +136,7 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN
         index = np.flatnonzero(sizes == size)
         margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
         cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
-        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, careful, reach)
+        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, careful, reach, verify)
         left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason]
         parts.append((numbers[index[good]], *columns))
     if not parts:
@@ -131,7 +147,7 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN
     return Detection(*(column[order] for column in joined), tuple(left_out))
 
 
-def _fit(full, camera, quads, cells, seen, n, margin, spread, careful, reach):
+def _fit(full, camera, quads, cells, seen, n, margin, spread, careful, reach, verify):
     """(good (m,) bool, reasons, (corners, covariance, blur, noise, contrast) of the good) for quads (m, 4, 2) px of one size."""
     m = len(quads)
     height, width = full.shape
@@ -151,8 +167,9 @@ def _fit(full, camera, quads, cells, seen, n, margin, spread, careful, reach):
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
     corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
-    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), careful, spread.tables,
-                       directions, spread.width, ITERATIONS, corners, covariances, results, status)
+    wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
+    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong, careful,
+                       spread.tables, directions, spread.width, ITERATIONS, corners, covariances, results, status)
     wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
     reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]
     good = np.array([not reason for reason in reasons], bool)

@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
-from vision.jit import FAST
+from vision.jit import kernel
 from vision.local_lens import to_ideal
 
 REACH = 2.6  # edge widths on either side of an edge that are looked at
@@ -14,7 +13,7 @@ PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none
 
 
-@njit(**FAST)
+@kernel
 def cut(image, boxes, starts, out):
     """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
     for m in range(len(boxes)):
@@ -25,7 +24,7 @@ def cut(image, boxes, starts, out):
                 k += 1
 
 
-@njit(**FAST)
+@kernel
 def _between(crop, x, y):
     """Grey level between pixels, held at the border."""
     x = min(max(x, 0.0), crop.shape[1] - 1.001)
@@ -35,41 +34,46 @@ def _between(crop, x, y):
     return (1 - v) * ((1 - f) * crop[j, i] + f * crop[j, i + 1]) + v * ((1 - f) * crop[j + 1, i] + f * crop[j + 1, i + 1])
 
 
-@njit(**FAST)
-def straighten(crop, box, quad, reach):
+@kernel
+def straighten(crop, box, quad, size, reach):
     """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
 
-    A side is moved by a line through the steps found within reach (px), and stays where fewer than half its profiles show one.
+    A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size` cells; it stays
+    where fewer than half its profiles show one.
     """
-    lines = np.empty((4, 3))  # a point and a direction would do; kept as normal and offset: nx x + ny y = d
+    lines = np.empty((4, 3))  # nx x + ny y = d
     where, offsets = np.empty(PROFILES), np.empty(PROFILES)
-    steps = int(math.ceil(reach))
-    profile = np.empty(2 * steps + 1)
+    profile, inside = np.empty(2 * int(math.ceil(reach)) + 1), np.empty(64)
+    for k in range(64):
+        s, t = (k % 8 + 0.5) / 8, (k // 8 + 0.5) / 8
+        x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
+        y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
+        inside[k] = _between(crop, x, y)
+    inside.sort()
+    if inside[58] - inside[5] < FAINTEST:
+        return
+    middle = 0.5 * (inside[58] + inside[5])  # of this marker's own black and white: a brighter face beside it has others
     for k in range(4):
         ax, ay = quad[k, 0] - box[0], quad[k, 1] - box[1]
         ex, ey = quad[(k + 1) % 4, 0] - box[0] - ax, quad[(k + 1) % 4, 1] - box[1] - ay
         length = max(math.sqrt(ex * ex + ey * ey), 1e-6)
         nx, ny = ey / length, -ex / length
-        found = 0
+        across = 0.0
+        for q in range(2, 4):
+            across -= 0.5 * ((quad[(k + q) % 4, 0] - quad[k, 0]) * nx + (quad[(k + q) % 4, 1] - quad[k, 1]) * ny)
+        near = min(reach, 0.9 * max(across, 1.0) / size)
+        steps, found = int(math.ceil(near)), 0
         for q in range(PROFILES):
             t = 0.06 + 0.88 * (q + 0.5) / PROFILES
-            low, high = 1e9, -1e9
             for d in range(-steps, steps + 1):
-                grey = _between(crop, ax + t * ex + d * nx, ay + t * ey + d * ny)
-                profile[d + steps] = grey
-                if d <= 0:
-                    low = min(low, grey)
-                if d >= 0:
-                    high = max(high, grey)
-            if high - low < FAINTEST:
-                continue
-            middle, nearest = 0.5 * (low + high), 1e9
+                profile[d + steps] = _between(crop, ax + t * ex + d * nx, ay + t * ey + d * ny)
+            nearest = 1e9
             for d in range(2 * steps):
                 if profile[d] < middle <= profile[d + 1]:
                     at = d - steps + (middle - profile[d]) / (profile[d + 1] - profile[d])
                     if abs(at) < abs(nearest):
                         nearest = at
-            if abs(nearest) <= reach:
+            if abs(nearest) <= near:
                 where[found], offsets[found] = t - 0.5, nearest
                 found += 1
         shift, turn = 0.0, 0.0
@@ -101,7 +105,7 @@ def straighten(crop, box, quad, reach):
             quad[k, 1] = (a[0] * b[2] - a[2] * b[0]) / det + box[1]
 
 
-@njit(**FAST)
+@kernel
 def homography(quad, lens, centre, n, g):
     """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4, 2) px.
 
@@ -130,6 +134,44 @@ def homography(quad, lens, centre, n, g):
     return True
 
 
+@kernel
+def misread(crop, box, quad, cells):
+    """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2) px.
+
+    All of them where white is no brighter than black. Five points of each cell are read.
+    """
+    size = cells.shape[0] - 2
+    px, py = quad[:, 0] - box[0], quad[:, 1] - box[1]
+    sx, sy = px[0] - px[1] + px[2] - px[3], py[0] - py[1] + py[2] - py[3]
+    dx1, dx2, dy1, dy2 = px[1] - px[2], px[3] - px[2], py[1] - py[2], py[3] - py[2]
+    det = dx1 * dy2 - dx2 * dy1
+    if not abs(det) > 1e-6:
+        return size * size
+    p, q = (sx * dy2 - dx2 * sy) / det, (dx1 * sy - sx * dy1) / det
+    read = np.empty((size, size))
+    total, count = np.zeros(2), np.zeros(2)
+    for j in range(size):
+        for i in range(size):
+            read[j, i] = 0
+            for k in range(5):
+                s, t = (i + 0.5 + (0.2, -0.2, 0.0, 0.0, 0.0)[k]) / size, (j + 0.5 + (0.0, 0.0, 0.0, 0.2, -0.2)[k]) / size
+                w = 1 + p * s + q * t
+                x = ((px[1] - px[0] + p * px[1]) * s + (px[3] - px[0] + q * px[3]) * t + px[0]) / w
+                y = ((py[1] - py[0] + p * py[1]) * s + (py[3] - py[0] + q * py[3]) * t + py[0]) / w
+                read[j, i] += _between(crop, x, y) / 5
+            white = 1 if cells[j + 1, i + 1] > 0.5 else 0
+            total[white] += read[j, i]
+            count[white] += 1
+    black, white = total[0] / max(count[0], 1.0), total[1] / max(count[1], 1.0)
+    if not white - black > FAINTEST:
+        return size * size
+    wrong = 0
+    for j in range(size):
+        for i in range(size):
+            wrong += (read[j, i] > (black + white) / 2) != (cells[j + 1, i + 1] > 0.5)
+    return wrong
+
+
 NOTHING, SEVERAL = 0, 1  # then one edge: 2 + 4 axis + 2 far side + white first
 
 
@@ -155,7 +197,7 @@ def outlook(cells):
     return out
 
 
-@njit(**FAST)
+@kernel
 def _row(quad, pad, y, low, high):
     """Pixels [low, high) of image row y that lie in a convex quad (4, 2) px widened by pad."""
     first, last = low - 1.0, high + 1.0
@@ -171,7 +213,7 @@ def _row(quad, pad, y, low, high):
     return max(low, int(math.ceil(first))), min(high, int(math.floor(last)) + 1)
 
 
-@njit(**FAST)
+@kernel
 def edge_pixels(crop, box, quad, lens, centre, seen, n, margin, g, s, points, greys, places):
     """Collect the pixels near an edge; returns how many.
 

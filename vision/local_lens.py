@@ -3,10 +3,9 @@
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from vision import lens
-from vision.jit import FAST
+from vision.jit import kernel
 
 SPACING = 32.0  # px between the table's nodes; four of them to each side interpolate a lens of photographs to 1e-5 px
 BEYOND = 4  # nodes outside the image
@@ -29,7 +28,7 @@ def _table(matrix, distortion, width, height):
     return ideal * matrix[[0, 1], [0, 1]]
 
 
-@njit(**FAST)
+@kernel
 def _at(nodes, x, y):
     """The table's value at pixel x, y: cubic through four nodes each way (Lagrange)."""
     x, y = x / SPACING + BEYOND, y / SPACING + BEYOND
@@ -46,7 +45,7 @@ def _at(nodes, x, y):
     return a, b
 
 
-@njit(**FAST)
+@kernel
 def polynomials(nodes, centres, out):
     """out (m, 2, 10): cubics from local pixel to local ideal coordinates around centres (m, 3) x, y, scale px.
 
@@ -63,7 +62,7 @@ def polynomials(nodes, centres, out):
                 out[m, 1, i] += _TO_POLYNOMIAL[i, k] * (b - b0) / scale
 
 
-@njit(**FAST)
+@kernel
 def to_ideal(lens, u, v):
     """Local ideal coordinates of local pixel coordinates by the cubic polynomials of a lens (2, 10)."""
     x = lens[0, 0] + u * (lens[0, 1] + u * (lens[0, 3] + u * lens[0, 6])) + v * (
@@ -73,7 +72,7 @@ def to_ideal(lens, u, v):
     return x, y
 
 
-@njit(**FAST)
+@kernel
 def to_pixel(lens, x, y, u, v):
     """Local pixel coordinates that `to_ideal` sends to x, y, from a guess u, v; and the inverse slope du/dx, du/dy, dv/dx, dv/dy."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0

@@ -4,19 +4,18 @@ The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): 
 unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How brightness
 climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or one learnt from
 the images (vision/spread.py), one for each direction of edges. Where two edges meet, their product is corrected by a
-bivariate normal's correlated part, because a marker's axes are seldom square in the image.
-Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017; bivariate normal,
-Drezner and Wesolowsky 1990.
+bivariate normal's correlated part (vision/pattern.py), because a marker's axes are seldom square in the image.
+Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
 import math
 
 import numpy as np
-from numba import njit
 
-from vision.edges import edge_pixels, homography, straighten
-from vision.jit import FAST
+from vision.edges import edge_pixels, homography, misread, straighten
+from vision.jit import kernel
 from vision.local_lens import to_pixel
+from vision.pattern import edge, pattern
 
 UNKNOWNS = 15
 ROWS = 16  # the unknowns and the residual: one row each of what is multiplied out
@@ -24,78 +23,13 @@ CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's f
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
-MEETING = 3.0  # edge widths from two edges at once within which their meeting matters
-STEPS, SPAN = 1024, 10.0  # the tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
 NEAR, EXACT = 0.06, 0.004  # px a step moves corners: below the first all pixels take part, and one step more is right to 0.002 px; careful
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
 STRAYED = 0.4  # px that corners may move before the pixels near edges are collected anew
-OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED = range(6)
-
-_grid = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
-GAUSSIAN = np.stack([np.array([0.5 * math.erfc(-x / math.sqrt(2)) for x in _grid]), np.exp(-_grid * _grid / 2) / math.sqrt(2 * math.pi)], axis=1)
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
 
-@njit(**FAST)
-def _edge(table, x):
-    """Share of white and its slope at x edge widths from an edge, from a table (STEPS + 1, 2)."""
-    at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
-    i = int(at)
-    f = at - i
-    return table[i, 0] + f * (table[i + 1, 0] - table[i, 0]), table[i, 1] + f * (table[i + 1, 1] - table[i, 1])
-
-
-@njit(**FAST)
-def _meeting(h, k, rho):
-    """Bivariate normal distribution less the product of its margins."""
-    total = 0.0
-    for g in range(3):
-        r = 0.5 * rho * (_NODES[g] + 1)
-        q = 1 - r * r
-        total += _WEIGHTS[g] * math.exp(-(h * h - 2 * r * h * k + k * k) / (2 * q)) / math.sqrt(q)
-    return total * rho / (4 * math.pi)
-
-
-@njit(**FAST)
-def _pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
-    """White share at cell coordinates X, Y in or next to cell (i, j), edges sx, sy (cells) wide; and d/dX, d/dY, d/d ln(width).
-
-    cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
-    """
-    last = cells.shape[0] - 1
-    hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
-    Pa, pa = _edge(table_x, hl)
-    Pb, pb = _edge(table_x, hr)
-    Pc, pc = _edge(table_y, vl)
-    Pd, pd = _edge(table_y, vr)
-    y0, y1, y2 = min(max(j + 1, 0), last), min(max(j + 2, 0), last), min(max(j + 3, 0), last)
-    x0, x1, x2 = min(max(i + 1, 0), last), min(max(i + 2, 0), last), min(max(i + 3, 0), last)
-    s, gx, gy, gb = 0.0, 0.0, 0.0, 0.0
-    for v in range(3):
-        if v == 0:
-            y, w, dw, bw = y0, 1 - Pc, -pc / sy, pc * vl
-        elif v == 1:
-            y, w, dw, bw = y1, Pc - Pd, (pc - pd) / sy, pd * vr - pc * vl
-        else:
-            y, w, dw, bw = y2, Pd, pd / sy, -pd * vr
-        a, b, c = cells[y, x0], cells[y, x1], cells[y, x2]
-        row = a + (b - a) * Pa + (c - b) * Pb
-        s += w * row
-        gx += w * ((b - a) * pa + (c - b) * pb) / sx
-        gy += dw * row
-        gb += bw * row - w * ((b - a) * pa * hl + (c - b) * pb * hr)
-    if abs(rho) > 0.02:
-        for u in range(2):
-            h, left, right = (hl, x0, x1) if u == 0 else (hr, x1, x2)
-            for v in range(2):
-                k, top, bottom = (vl, y0, y1) if v == 0 else (vr, y1, y2)
-                w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
-                if w != 0 and abs(h) < MEETING and abs(k) < MEETING:
-                    s += w * _meeting(h, k, rho)
-    return s, gx, gy, gb
-
-
-@njit(**FAST)
+@kernel
 def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table_y, light, lit, limit, J, H, sizes):
     """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted).
 
@@ -119,20 +53,20 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
                 Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
                 Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                p, dX, dY, dB = _pattern(cells, i, j, X, Y, s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), table_x, table_y)
+                p, dX, dY, dB = pattern(cells, i, j, X, Y, s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), table_x, table_y)
             elif abs(kind) == 1:
                 Xx, Xy = g00 - X * g20, g01 - X * g21
                 Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
                 across = kind / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
                 h = (X - i) * across
-                p, e = _edge(table_x, h)
+                p, e = edge(table_x, h)
                 dX, dB = e * across, -e * h
             else:
                 Yx, Yy = g10 - Y * g20, g11 - Y * g21
                 Yu, Yv = Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 across = 0.5 * kind / (s * w * math.sqrt(Yu * Yu + Yv * Yv))
                 h = (Y - j) * across
-                p, e = _edge(table_y, h)
+                p, e = edge(table_y, h)
                 dY, dB = e * across, -e * h
             white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
             q, root = 1 - p, 1.0
@@ -164,7 +98,7 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
     return weights, doubted
 
 
-@njit(**FAST)
+@kernel
 def _factor(H, first, size, L):
     """Cholesky factor L of H[first:first + size, first:first + size]; False where that is not definite."""
     for i in range(size):
@@ -181,7 +115,7 @@ def _factor(H, first, size, L):
     return True
 
 
-@njit(**FAST)
+@kernel
 def _solve(L, size, b, x):
     """x that L L' sends to b."""
     for i in range(size):
@@ -196,7 +130,7 @@ def _solve(L, size, b, x):
         x[i] = total / L[i, i]
 
 
-@njit(**FAST)
+@kernel
 def _corners(g, n, corners, J):
     """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned over."""
     for c in range(4):
@@ -219,7 +153,7 @@ def _corners(g, n, corners, J):
     return True
 
 
-@njit(**FAST)
+@kernel
 def _step(H, g, s, light, n, scale, corners, J, x, L):
     """Move g, light in place by a Gauss-Newton step; returns (px the farthest corner moves, width, status)."""
     if not _factor(H, 0, UNKNOWNS, L):
@@ -245,7 +179,7 @@ def _step(H, g, s, light, n, scale, corners, J, x, L):
     return short * moved, min(max(s + change * s, 0.25), 6.0), OK
 
 
-@njit(**FAST)
+@kernel
 def _covariance(H, weights, J, x, L, covariance):
     """(8, 8) covariance of the corners' local ideal coordinates, from the residuals' own scatter; returns that (grey levels).
 
@@ -268,7 +202,7 @@ def _covariance(H, weights, J, x, L, covariance):
     return math.sqrt(noise2)
 
 
-@njit(**FAST)
+@kernel
 def _to_image(lens, centre, guess, corners, covariance):
     """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
     D = np.zeros((8, 8))
@@ -288,8 +222,8 @@ def _to_image(lens, centre, guess, corners, covariance):
             covariance[a, b] = centre[2] * (half[a, c] * D[b, c] + half[a, c + 1] * D[b, c + 1])
 
 
-@njit(**FAST)
-def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, careful, tables, directions, width, iterations,
+@kernel
+def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, careful, tables, directions, width, iterations,
                 corners, covariances, results, status):
     """Fit every marker of an image.
 
@@ -297,6 +231,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
     lenses : (m, 2, 10) cubic polynomials from local pixel to local ideal coordinates; centres : (m, 3) x, y, scale px
     cells : (m, n + 4, n + 4) 1 white, 0 black; seen : (m, n + 4, n + 4, 16), their `outlook`; margins : (m,) white margin in cells
     quads : (m, 4, 2) px, first guess in, straightened out; reach : px within which the sides are looked for, 0 for a better guess
+    wrong : cells that may be misread before a marker is not believed to be there, or -1 not to look
     careful : whether to iterate to EXACT rather than NEAR px; width : px, the edges' to start from
     tables : (d, STEPS + 1, 2) edge spread functions; directions : (m, 2) which is that of the X and of the Y edges
     corners : (m, 4, 2) out, px; covariances : (m, 8, 8) out, px^2; status : (m,) out
@@ -313,7 +248,10 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
         box, lens, scale = boxes[m], lenses[m], centres[m, 2]
         crop = image[starts[m] : starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(box[3] - box[1], box[2] - box[0])
         if reach > 0:
-            straighten(crop, box, quads[m], min(reach, 0.9 * scale * math.sqrt(2) / (n + 2)))
+            straighten(crop, box, quads[m], n + 2, reach)
+        if wrong >= 0 and misread(crop, box, quads[m], cells[m]) > wrong:
+            status[m] = NOT_READ
+            continue
         slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
         table_x, table_y = tables[directions[m, 0]], tables[directions[m, 1]]
         s, lit, light[:] = width, False, 0

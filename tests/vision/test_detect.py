@@ -11,6 +11,7 @@ from rig.design import DICTIONARIES, Marker, Target
 from rig.pose import pose
 from vision import lens
 from vision.detect import detect, place
+from vision.predict import expected
 from vision.targets import marker_map
 from tests.vision.pictures import SIZE, camera, picture, quad
 
@@ -145,3 +146,40 @@ def test_a_kind_of_image_that_is_none_is_refused(design):
 def test_an_empty_image_shows_nothing(design):
     found = detect(np.full((SIZE, SIZE), 80, np.uint8), camera(), sheet(design))
     assert found.corners.shape == (0, 4, 2) and found.covariance.shape == (0, 8, 8)
+
+
+def cube_scene(design, at, dictionary=NAME):
+    """(camera, marker map, pose expected, image) of one sheet on the platform, drawn where a pose puts it."""
+    view = camera()
+    listed = (Marker(3, 0.06, pose([0, 0, 0.9], [np.pi - 0.4, 0.2, 0.3]), 0.008), Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008))
+    markers = marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
+    _, (corners,) = expected(view, at, markers)
+    image = picture(corners, dictionary, 3) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))
+    return view, markers, corners, np.clip(image, 0, 255).astype(np.uint8)
+
+
+def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
+    here = pose([0, 0, 0], [0, 0, 0])
+    view, markers, corners, image = cube_scene(design, here)
+    whole = detect(image, view, markers)
+    monkeypatch.setattr("vision.detect._detector", lambda name: pytest.fail("the whole image was searched"))
+    for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
+        found = detect(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))
+        assert found.marker.tolist() == [3]
+        np.testing.assert_allclose(found.corners, whole.corners, atol=0.01)
+
+
+@pytest.mark.parametrize("spoil", ["another pose", "another marker", "nothing there"])
+def test_what_is_not_where_it_is_expected_is_searched_for(design, spoil):
+    here = pose([0, 0, 0], [0, 0, 0])
+    view, markers, corners, image = cube_scene(design, here)
+    if spoil == "another pose":
+        found = detect(image, view, markers, T_base_platform=pose([0.03, 0.02, 0], [0, 0, 0.2]))
+        assert found.marker.tolist() == [3]
+        np.testing.assert_allclose(found.corners[0], corners, atol=0.05)
+    elif spoil == "another marker":
+        image = np.clip(picture(corners, NAME, 4), 0, 255).astype(np.uint8)
+        found = detect(image, view, markers, T_base_platform=here)
+        assert found.marker.tolist() == [4]
+    else:
+        assert not len(detect(np.full_like(image, 80), view, markers, T_base_platform=here).marker)
