@@ -7,11 +7,10 @@ import cv2
 import numpy as np
 
 from vision import edges, local_lens, square
-from vision.pattern import GAUSSIAN as GAUSSIAN_TABLE
 from vision.predict import expected
+from vision.spread import GAUSSIAN, NO_PROFILE
 from vision.targets import marker_cells
 
-FIRST_BLUR = 0.8  # px
 ITERATIONS = 25
 ROOM = 6.0  # px around a marker that its blur may take
 REACH = 3.0  # px from where the reader or a prediction puts them within which the sides of a marker are looked for
@@ -26,23 +25,6 @@ _NEXT = [1, 2, 3, 0]
 _REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
             square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
             square.NOT_READ: "its bits are not to be read where it is expected"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Spread:
-    """How edges climb: tables (d, STEPS + 1, 2) of vision.square for d directions of the edge's normal over half a turn, and
-    the width (px) to start from."""
-
-    tables: np.ndarray
-    width: float
-
-    def rows(self, angles):
-        """(...,) row of the tables for the directions (rad) of edges' normals."""
-        count = len(self.tables)
-        return np.rint(np.asarray(angles) % np.pi / np.pi * count).astype(np.int64) % count
-
-
-GAUSSIAN = Spread(GAUSSIAN_TABLE[None], FIRST_BLUR)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,12 +102,12 @@ def detect(image, camera, marker_map, spread=GAUSSIAN, T_base_platform=None):
     return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out, spread)
 
 
-def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN, careful=False, reach=REACH, verify=False):
+def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN, reach=REACH, verify=False, profile=None):
     """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
 
-    full : (height, width) in 255ths of white; spread : Spread; careful : whether to iterate until corners move by 0.004 px at most
+    full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
-    verify : whether a marker's bits are read before it is believed to be there
+    verify : whether a marker's bits are read before it is believed to be there; profile : see vision.spread, added to
     """
     guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
@@ -136,7 +118,7 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN
         index = np.flatnonzero(sizes == size)
         margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
         cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
-        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, careful, reach, verify)
+        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, reach, verify, profile)
         left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason]
         parts.append((numbers[index[good]], *columns))
     if not parts:
@@ -147,7 +129,7 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN
     return Detection(*(column[order] for column in joined), tuple(left_out))
 
 
-def _fit(full, camera, quads, cells, seen, n, margin, spread, careful, reach, verify):
+def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, profile):
     """(good (m,) bool, reasons, (corners, covariance, blur, noise, contrast) of the good) for quads (m, 4, 2) px of one size."""
     m = len(quads)
     height, width = full.shape
@@ -168,8 +150,9 @@ def _fit(full, camera, quads, cells, seen, n, margin, spread, careful, reach, ve
     directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
     corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
     wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
-    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong, careful,
-                       spread.tables, directions, spread.width, ITERATIONS, corners, covariances, results, status)
+    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong,
+                       spread.tables, directions, spread.width, ITERATIONS, corners, covariances, results, status,
+                       NO_PROFILE if profile is None else profile)
     wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
     reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]
     good = np.array([not reason for reason in reasons], bool)

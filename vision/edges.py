@@ -7,7 +7,7 @@ import numpy as np
 from vision.jit import kernel
 from vision.local_lens import to_ideal
 
-REACH = 2.6  # edge widths on either side of an edge that are looked at
+REACH = 3.2  # edge widths on either side of an edge that are looked at
 CLEAR = 2.5  # edge widths kept clear of whatever lies beyond the white margin
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from vision.cholesky import factor, solve
 from vision.edges import edge_pixels, homography, misread, straighten
 from vision.jit import kernel
 from vision.local_lens import to_pixel
@@ -23,8 +24,9 @@ CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's f
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
-NEAR, EXACT = 0.06, 0.004  # px a step moves corners: below the first all pixels take part, and one step more is right to 0.002 px; careful
+NEAR = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
+PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
 STRAYED = 0.4  # px that corners may move before the pixels near edges are collected anew
 OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
@@ -99,38 +101,6 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
 
 
 @kernel
-def _factor(H, first, size, L):
-    """Cholesky factor L of H[first:first + size, first:first + size]; False where that is not definite."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = H[first + i, first + j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                if not total > 1e-9 * H[first + i, first + i]:
-                    return False
-                L[i, i] = math.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
-    return True
-
-
-@kernel
-def _solve(L, size, b, x):
-    """x that L L' sends to b."""
-    for i in range(size):
-        total = b[i]
-        for k in range(i):
-            total -= L[i, k] * x[k]
-        x[i] = total / L[i, i]
-    for i in range(size - 1, -1, -1):
-        total = x[i]
-        for k in range(i + 1, size):
-            total -= L[k, i] * x[k]
-        x[i] = total / L[i, i]
-
-
-@kernel
 def _corners(g, n, corners, J):
     """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned over."""
     for c in range(4):
@@ -156,9 +126,9 @@ def _corners(g, n, corners, J):
 @kernel
 def _step(H, g, s, light, n, scale, corners, J, x, L):
     """Move g, light in place by a Gauss-Newton step; returns (px the farthest corner moves, width, status)."""
-    if not _factor(H, 0, UNKNOWNS, L):
+    if not factor(H, 0, UNKNOWNS, L):
         return 0.0, s, SINGULAR
-    _solve(L, UNKNOWNS, H[ROWS - 1], x)
+    solve(L, UNKNOWNS, H[ROWS - 1], x)
     if not _corners(g, n, corners, J):
         return 0.0, s, WANDERED
     moved = 0.0
@@ -193,7 +163,7 @@ def _covariance(H, weights, J, x, L, covariance):
     for a in range(8):
         unit[:] = 0
         unit[:8] = J[a]
-        _solve(L, UNKNOWNS, unit, x)
+        solve(L, UNKNOWNS, unit, x)
         for b in range(8):
             row[b] = 0
             for k in range(8):
@@ -223,8 +193,36 @@ def _to_image(lens, centre, guess, corners, covariance):
 
 
 @kernel
-def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, careful, tables, directions, width, iterations,
-                corners, covariances, results, status):
+def _profile(points, greys, places, count, g, s, slope, tables, rows, light, limit, profile):
+    """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
+
+    rows : (2,) of the tables and of the profile, of the X and of the Y edges; a bin is a distance from the edge in widths, negative on the dark side
+    """
+    bins = profile.shape[1]
+    for k in range(count):
+        kind = places[k, 0]
+        if kind == 0:
+            continue
+        axis, sign = abs(kind) - 1, 1 if kind > 0 else -1
+        xi, yi = float(points[k, 0]), float(points[k, 1])
+        w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
+        X = (g[axis, 0] * xi + g[axis, 1] * yi + g[axis, 2]) * w
+        Xx, Xy = g[axis, 0] - X * g[2, 0], g[axis, 1] - X * g[2, 1]
+        Xu, Xv = Xx * slope[0, 0] + Xy * slope[1, 0], Xx * slope[0, 1] + Xy * slope[1, 1]
+        h = sign * (X - places[k, 1 + axis]) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
+        white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
+        at = int(math.floor((h / PROFILED + 1) * bins / 2))
+        p, e = edge(tables[rows[axis]], h)
+        share = (greys[k] - black) / (white - black) - p
+        if 0 <= at < bins and abs(share) * (white - black) < limit:
+            profile[rows[axis], at, 0] += 1
+            profile[rows[axis], at, 1] += share
+            profile[rows[axis], at, 2] += share * share
+
+
+@kernel
+def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, tables, directions, width, iterations,
+                corners, covariances, results, status, profile):
     """Fit every marker of an image.
 
     image : flat float32, the boxes cut out one after the other from `starts` (m,); boxes : (m, 4) x0 y0 x1 y1 px
@@ -232,9 +230,10 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
     cells : (m, n + 4, n + 4) 1 white, 0 black; seen : (m, n + 4, n + 4, 16), their `outlook`; margins : (m,) white margin in cells
     quads : (m, 4, 2) px, first guess in, straightened out; reach : px within which the sides are looked for, 0 for a better guess
     wrong : cells that may be misread before a marker is not believed to be there, or -1 not to look
-    careful : whether to iterate to EXACT rather than NEAR px; width : px, the edges' to start from
-    tables : (d, STEPS + 1, 2) edge spread functions; directions : (m, 2) which is that of the X and of the Y edges
+    width : px, the edges' to start from; tables : (d, STEPS + 1, 2) edge spread functions
+    directions : (m, 2) which is that of the X and of the Y edges
     corners : (m, 4, 2) out, px; covariances : (m, 8, 8) out, px^2; status : (m,) out
+    profile : (d, bins, 3) added to, what is left beside edges of each direction, see `_profile`; of no bins where it is not wanted
     results : (m, 6) out: noise (grey), contrast, pixels, share of them that count less, width (px), steps taken
     """
     largest = 1
@@ -280,8 +279,8 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
                 lit = True
                 for k in range(6):
                     H[9 + k, 9 + k] += 1e-9 * (1 + H[9 + k, 9 + k])
-                if _factor(H, 9, 6, L):
-                    _solve(L, 6, H[ROWS - 1, 9:], light)
+                if factor(H, 9, 6, L):
+                    solve(L, 6, H[ROWS - 1, 9:], light)
                 if not light[0] - light[3] > 1:
                     status[m] = NO_CONTRAST
                     break
@@ -298,11 +297,13 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             results[m, 4], results[m, 5] = s, iteration
             if part:
                 part = 0 if moved < NEAR and widened < 0.1 * s else 1
-            elif moved < (EXACT if careful else NEAR) and widened < 0.05 * s and away < STRAYED:
+            elif moved < NEAR and widened < 0.05 * s and away < STRAYED:
                 if not _corners(g, n, corners[m], J):
                     status[m] = WANDERED
                     break
                 results[m, 0] = _covariance(H, weights, J, x, L, covariances[m])
                 _to_image(lens, centres[m], quads[m], corners[m], covariances[m])
                 status[m], width = OK, s
+                if profile.shape[1]:
+                    _profile(points[0], greys[0], places[0], count, g, s, slope, tables, directions[m], light, limit, profile)
                 break
