@@ -11,7 +11,7 @@ from rig.errors import FileError
 from rig.recording import Corners
 from vision.detect import detect, grey, place
 from vision.predict import expected
-from vision.spread import GAUSSIAN, Spread, empty_profile, learn
+from vision.spread import PLAIN, Spread, empty_profile, learn
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
@@ -77,7 +77,7 @@ def learn_spread(read, names, camera, marker_map):
         return image, detect(image[0], camera, marker_map)
 
     seen = [(full, d.marker, d.corners) for (_, full), d in _in_parallel(first, names, None) if len(d.marker)]
-    spread = GAUSSIAN
+    spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
         def again(item, spread=spread):
             full, marker, corners = item
@@ -112,7 +112,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     def one(item):
         frame, camera, name, numbers, places = item
         _, full = grey(read_image(recording.folder / name))
-        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, GAUSSIAN))
+        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN))
 
     found = []
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):

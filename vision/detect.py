@@ -8,7 +8,7 @@ import numpy as np
 
 from vision import edges, local_lens, square
 from vision.predict import expected
-from vision.spread import GAUSSIAN, NO_PROFILE
+from vision.spread import LEVELS, NO_PROFILE, PLAIN
 from vision.targets import marker_cells
 
 ITERATIONS = 25
@@ -72,7 +72,7 @@ def _detector(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map, spread=GAUSSIAN, T_base_platform=None):
+def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None):
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
@@ -102,7 +102,7 @@ def detect(image, camera, marker_map, spread=GAUSSIAN, T_base_platform=None):
     return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out, spread)
 
 
-def place(full, camera, marker_map, numbers, guess, left_out=(), spread=GAUSSIAN, reach=REACH, verify=False, profile=None):
+def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, reach=REACH, verify=False, profile=None):
     """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
@@ -151,7 +151,7 @@ def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, pro
     corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
     wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
     square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong,
-                       spread.tables, directions, spread.width, ITERATIONS, corners, covariances, results, status,
+                       spread.tables, LEVELS, directions, spread.width, ITERATIONS, corners, covariances, results, status,
                        NO_PROFILE if profile is None else profile)
     wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
     reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]

@@ -8,7 +8,7 @@ from vision.jit import kernel
 from vision.local_lens import to_ideal
 
 REACH = 3.2  # edge widths on either side of an edge that are looked at
-CLEAR = 2.5  # edge widths kept clear of whatever lies beyond the white margin
+CLEAR = 3.2  # edge widths kept clear of whatever lies beyond the white margin
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none
 
@@ -260,5 +260,5 @@ def edge_pixels(crop, box, quad, lens, centre, seen, n, margin, g, s, points, gr
             places[count, 1] = i + (second and single < 4)
             places[count, 2] = j + (second and single >= 4)
             # written first and kept after, because a processor cannot guess which pixels are
-            count += (code != 0) & (w > 0) & ((outside < 0) | ((outside < far) & (outside < margin - CLEAR / REACH * far)))
+            count += (code != 0) & (w > 0) & (outside < min(far, margin - CLEAR / REACH * far))
     return count

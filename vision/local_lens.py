@@ -87,3 +87,23 @@ def to_pixel(lens, x, y, u, v):
         u += ux * (x - a) + uy * (y - b)
         v += vx * (x - a) + vy * (y - b)
     return u, v, ux, uy, vx, vy
+
+
+@kernel
+def to_image(lens, centre, guess, corners, covariance):
+    """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
+    D = np.zeros((8, 8))
+    for c in range(4):
+        u, v = (guess[c, 0] - centre[0]) / centre[2], (guess[c, 1] - centre[1]) / centre[2]
+        u, v, ux, uy, vx, vy = to_pixel(lens, corners[c, 0], corners[c, 1], u, v)
+        corners[c, 0], corners[c, 1] = u * centre[2] + centre[0], v * centre[2] + centre[1]
+        D[2 * c, 2 * c], D[2 * c, 2 * c + 1], D[2 * c + 1, 2 * c], D[2 * c + 1, 2 * c + 1] = ux, uy, vx, vy
+    half = np.zeros((8, 8))
+    for a in range(8):
+        for b in range(8):
+            c = 2 * (a // 2)
+            half[a, b] = centre[2] * (D[a, c] * covariance[c, b] + D[a, c + 1] * covariance[c + 1, b])
+    for a in range(8):
+        for b in range(8):
+            c = 2 * (b // 2)
+            covariance[a, b] = centre[2] * (half[a, c] * D[b, c] + half[a, c + 1] * D[b, c + 1])

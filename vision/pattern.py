@@ -12,7 +12,6 @@ from vision.jit import kernel
 STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
 MEETING = 3.0  # edge widths from two edges at once within which their meeting matters
 GRID = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
-GAUSSIAN = np.stack([np.array([0.5 * math.erfc(-x / math.sqrt(2)) for x in GRID]), np.exp(-GRID * GRID / 2) / math.sqrt(2 * math.pi)], axis=1)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 

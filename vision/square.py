@@ -15,7 +15,7 @@ import numpy as np
 from vision.cholesky import factor, solve
 from vision.edges import edge_pixels, homography, misread, straighten
 from vision.jit import kernel
-from vision.local_lens import to_pixel
+from vision.local_lens import to_image
 from vision.pattern import edge, pattern
 
 UNKNOWNS = 15
@@ -27,7 +27,7 @@ FINEST = 0.2  # grey levels; a robust scale below this is rounding
 NEAR = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
 PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
-STRAYED = 0.4  # px that corners may move before the pixels near edges are collected anew
+STRAYED, WIDENED = 0.4, 1.1  # px that corners may move, times that edges may widen before the pixels near them are collected anew
 OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
 
@@ -173,30 +173,11 @@ def _covariance(H, weights, J, x, L, covariance):
 
 
 @kernel
-def _to_image(lens, centre, guess, corners, covariance):
-    """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
-    D = np.zeros((8, 8))
-    for c in range(4):
-        u, v = (guess[c, 0] - centre[0]) / centre[2], (guess[c, 1] - centre[1]) / centre[2]
-        u, v, ux, uy, vx, vy = to_pixel(lens, corners[c, 0], corners[c, 1], u, v)
-        corners[c, 0], corners[c, 1] = u * centre[2] + centre[0], v * centre[2] + centre[1]
-        D[2 * c, 2 * c], D[2 * c, 2 * c + 1], D[2 * c + 1, 2 * c], D[2 * c + 1, 2 * c + 1] = ux, uy, vx, vy
-    half = np.zeros((8, 8))
-    for a in range(8):
-        for b in range(8):
-            c = 2 * (a // 2)
-            half[a, b] = centre[2] * (D[a, c] * covariance[c, b] + D[a, c + 1] * covariance[c + 1, b])
-    for a in range(8):
-        for b in range(8):
-            c = 2 * (b // 2)
-            covariance[a, b] = centre[2] * (half[a, c] * D[b, c] + half[a, c + 1] * D[b, c + 1])
-
-
-@kernel
 def _profile(points, greys, places, count, g, s, slope, tables, rows, light, limit, profile):
     """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
 
-    rows : (2,) of the tables and of the profile, of the X and of the Y edges; a bin is a distance from the edge in widths, negative on the dark side
+    rows : (2,) of tables (d, STEPS + 1, 2) and profile, of the X and of the Y edges
+    A bin is a distance from the edge in widths, negative on the dark side.
     """
     bins = profile.shape[1]
     for k in range(count):
@@ -221,7 +202,7 @@ def _profile(points, greys, places, count, g, s, slope, tables, rows, light, lim
 
 
 @kernel
-def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, tables, directions, width, iterations,
+def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, tables, levels, directions, width, iterations,
                 corners, covariances, results, status, profile):
     """Fit every marker of an image.
 
@@ -230,7 +211,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
     cells : (m, n + 4, n + 4) 1 white, 0 black; seen : (m, n + 4, n + 4, 16), their `outlook`; margins : (m,) white margin in cells
     quads : (m, 4, 2) px, first guess in, straightened out; reach : px within which the sides are looked for, 0 for a better guess
     wrong : cells that may be misread before a marker is not believed to be there, or -1 not to look
-    width : px, the edges' to start from; tables : (d, STEPS + 1, 2) edge spread functions
+    width : px, the edges' to start from; tables : (l + 1, d, STEPS + 1, 2) edge spread functions; levels : (l,) px between their widths
     directions : (m, 2) which is that of the X and of the Y edges
     corners : (m, 4, 2) out, px; covariances : (m, 8, 8) out, px^2; status : (m,) out
     profile : (d, bins, 3) added to, what is left beside edges of each direction, see `_profile`; of no bins where it is not wanted
@@ -252,27 +233,30 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             status[m] = NOT_READ
             continue
         slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
-        table_x, table_y = tables[directions[m, 0]], tables[directions[m, 1]]
         s, lit, light[:] = width, False, 0
         if not homography(quads[m], lens, centres[m], n, g) or not _corners(g, n, corners[m], J):
             status[m] = WANDERED
             continue
-        limit, away, part, used, every = 1e9, 1e9, 0, 0, 1
+        limit, away, collected, part, used, every = 1e9, 1e9, s, 0, 0, 1
         status[m] = UNSETTLED
         for iteration in range(iterations):
-            if away > STRAYED:
+            if away > STRAYED or s > WIDENED * collected:
                 if iteration > 0:
-                    _to_image(lens, centres[m], quads[m], corners[m], covariances[m])
+                    to_image(lens, centres[m], quads[m], corners[m], covariances[m])
                     quads[m] = corners[m]
                 count = edge_pixels(crop, box, quads[m], lens, centres[m], seen[m], n, margins[m], g, s, points[0], greys[0], places[0])
                 if count < 60:
                     status[m] = NO_PIXELS
                     break
-                away, every = 0.0, max(count // SAMPLE, 1)
+                away, collected, every = 0.0, s, max(count // SAMPLE, 1)
                 part = 1 if every > 1 else 0
                 for k in range(0, count if part else 0, every):
                     points[1, k // every], greys[1, k // every], places[1, k // every] = points[0, k], greys[0, k], places[0, k]
             used = (count + every - 1) // every if part else count
+            level = 0
+            while level < len(levels) and s > levels[level]:
+                level += 1
+            table_x, table_y = tables[level, directions[m, 0]], tables[level, directions[m, 1]]
             weights, doubted = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
                                            limit, rows, H, sizes)
             if not lit:
@@ -297,13 +281,13 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             results[m, 4], results[m, 5] = s, iteration
             if part:
                 part = 0 if moved < NEAR and widened < 0.1 * s else 1
-            elif moved < NEAR and widened < 0.05 * s and away < STRAYED:
+            elif moved < NEAR and widened < 0.05 * s and away < STRAYED and s <= WIDENED * collected:
                 if not _corners(g, n, corners[m], J):
                     status[m] = WANDERED
                     break
                 results[m, 0] = _covariance(H, weights, J, x, L, covariances[m])
-                _to_image(lens, centres[m], quads[m], corners[m], covariances[m])
+                to_image(lens, centres[m], quads[m], corners[m], covariances[m])
                 status[m], width = OK, s
                 if profile.shape[1]:
-                    _profile(points[0], greys[0], places[0], count, g, s, slope, tables, directions[m], light, limit, profile)
+                    _profile(points[0], greys[0], places[0], count, g, s, slope, tables[level], directions[m], light, limit, profile)
                 break

@@ -146,15 +146,17 @@ def _speed(folder):
         seconds, seen = [], [0, 0, 0]
         for repeat in range(REPEATS + 1):
             for camera, image in images:
-                marks, counts = [time.thread_time()], []
-                for look in (lambda i, c: detector.detectMarkers(i)[1], lambda i, c: detect(i, c, markers).marker,
-                             lambda i, c: detect(i, c, markers, T_base_platform=home).marker):
-                    counts.append(len(look(image, camera)))
-                    marks.append(time.thread_time())
+                marks = [time.thread_time()]
+                theirs = detector.detectMarkers(image)[1]
+                marks.append(time.thread_time())
+                cold = detect(image, camera, markers).marker
+                marks.append(time.thread_time())
+                warm = detect(image, camera, markers, T_base_platform=home).marker
+                marks.append(time.thread_time())
                 if repeat:  # the first one warms up
                     seconds.append(np.diff(marks))
                 else:
-                    seen = np.add(seen, counts)
+                    seen = np.add(seen, [len(theirs), len(cold), len(warm)])
         seconds = np.array(seconds)
         ours, ratio = np.median(seconds, axis=0) * 1e3, np.median(seconds[:, 1:] / seconds[:, :1], axis=0)
         figure = f"{width} x {height}, one thread, {len(images)} images: corners / OpenCV's detectMarkers with SUBPIX"
