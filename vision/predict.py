@@ -96,12 +96,17 @@ def inside(sightings, uv, cameras, margin=INSIDE):
 
 
 def expected(camera, T_base_platform, marker_map):
-    """Marker rows (k,) that a camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
-    state = State((camera,), RigidTransform.from_matrix(T_base_platform.as_matrix()[None]), {})
-    found = facing(state, marker_map)
-    uv = see(found, state, marker_map)
-    whole = inside(found, uv, state.cameras)
-    return found.marker[whole], uv[whole]
+    """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
+    to_camera = camera.pose.inv().as_matrix()
+    matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
+    ahead = marker_map.corners @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
+    middle, out = ahead.mean(axis=1), np.cross(ahead[:, 0] - ahead[:, 1], ahead[:, 2] - ahead[:, 1])
+    cosine = -(out * middle).sum(axis=1) / np.sqrt((out**2).sum(axis=1) * (middle**2).sum(axis=1))
+    rows = np.flatnonzero((cosine > STEEPEST) & (ahead[:, :, 2].min(axis=1) > marker_map.side))
+    uv = lens.project(ahead[rows], camera.matrix, camera.distortion)
+    size = np.array([camera.width, camera.height])
+    whole = ((uv > INSIDE) & (uv < size - 1 - INSIDE)).all(axis=(1, 2))
+    return rows[whole], uv[whole]
 
 
 def _quads(platform, markers):
