@@ -43,9 +43,10 @@ def sample_recording(recording, free=("poses", "lenses"), progress=None):
 
 def _from_poses(recording):
     instrument, poses = recording.design.instrument, recording.poses
-    if instrument is not None and "free" in (instrument.base, instrument.tool):
-        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") cannot be solved for yet; "
-                       "state its poses in the rig's own frames")
+    kind = recording.design.mechanism.kind
+    if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
+        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") is solved for with arms, not with a "
+                       f"mechanism of kind {kind!r}; state its poses in the rig's own frames")
     covariance = poses.covariance
     if covariance is None:
         position, rotation = (instrument.position_sigma, instrument.rotation_sigma) if instrument is not None else UNSTATED
