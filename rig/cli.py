@@ -11,6 +11,7 @@ COMMANDS = {
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
+    "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",

@@ -26,14 +26,15 @@ def frames(q, arm):
         raise ValueError(f"expected finite joint angles (..., {len(arm.joints)}) rad, got shape {q.shape}")
     out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
     out[..., 0, :, :] = arm.base.as_matrix()
-    for i, row in enumerate(arm.rows):
-        out[..., i + 1, :, :] = out[..., i, :, :] @ link(q[..., i], row)
+    links = link(q, arm.rows.T)
+    for i in range(q.shape[-1]):
+        np.matmul(out[..., i, :, :], links[..., i, :, :], out=out[..., i + 1, :, :])
     out[..., -1, :, :] = out[..., -2, :, :] @ arm.tool.as_matrix()
     return out
 
 
 def link(q, row):
-    """(..., 4, 4) transform A of one link: q (...,) rad, row (5,) theta, d, a, alpha, beta."""
+    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)

@@ -16,7 +16,8 @@ from tests.rig.arms import HALF, SEVEN, UR10, random_arm
 PUMA = design_file.load(files("rig") / "arms" / "puma560.toml").mechanism
 OFFSET = Arm([[0, 0.29, 0.15, -HALF], [-HALF, 0, 0.27, 0], [0, 0, 0.07, -HALF], [0, 0.302, 0, HALF], [0, 0, 0, -HALF], [np.pi, 0.072, 0, 0]],
              [[-3.1, 3.1]] * 6)
-TILTED = Arm([[0.2, 0.3, 0.1, 1.3], [0, 0.1, 0.4, 0], [0.3, 0.1, 0.05, -1.2], [0, 0.4, 0, 1.4], [0.1, 0, 0, -1.1], [0, 0.1, 0.02, 0.3]], [[-3, 3]] * 6)
+TILTED = Arm([[0.2, 0.3, 0.1, 1.3], [0, 0.1, 0.4, 0], [0.3, 0.1, 0.05, -1.2], [0, 0.4, 0, 1.4], [0.1, 0, 0, -1.1], [0, 0.1, 0.02, 0.3]],
+             [[-3, 3]] * 6)
 ARMS = {"puma": PUMA, "offset": OFFSET, "UR10": UR10, "tilted": TILTED}
 
 
