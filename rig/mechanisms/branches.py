@@ -8,16 +8,22 @@ import numpy as np
 from numba import njit
 
 from rig.mechanisms.regression import (ELBOW, FREE, OFF_AXIS, SHOULDER, SINGULAR, SLACK, TOO_FAR, TOO_NEAR, TURNED_AWAY, WRIST, about, add, angle,
-                                       around, cross, dot, elbows, readings, row, seen, shoulder)
+                                       around, cross, dot, elbows, readings, row, seen, shoulder, wrapped)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _across(a, u):
     """The part of a across the unit vector u."""
     return add(a, u, -dot(a, u))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _set(t):
+    """An angle that is chosen, as `angle` returns one that is read."""
+    return t, np.cos(t), np.sin(t), 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def _hand(hands, m, key):
     """(key point, hand's x, y, z) where the hand's points number m are; key : from A, at zero."""
     A = row(hands[m], 0)
@@ -26,7 +32,7 @@ def _hand(hands, m, key):
     return add(seen(key, ex, ey, ez), A, 1.0), ex, ey, ez
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bend(axis, u5, u6):
     """What joint 5 is read from: cos and sine parts of axis . turned(u6), and how far r + product and r - product are from 1."""
     a, b = dot(_across(axis, u5), _across(u6, u5)), dot(axis, cross(u5, u6))
@@ -34,7 +40,7 @@ def _bend(axis, u5, u6):
     return a, b, r + tilt - 1, r - tilt - 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _wrist(axis, v, bend):
     """Joint 5 from where axis 6 points, v, against another axis: (first, second, sine between, miss)."""
     apart, together = add(v, axis, -1.0), add(v, axis, 1.0)
@@ -43,7 +49,7 @@ def _wrist(axis, v, bend):
     return first, second, h, -min(less, more)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def spherical(hands, points, axes, hand, key, near):
     """Axes 4, 5, 6 cross in `key`; axes 2 and 3 are parallel.
 
@@ -76,10 +82,9 @@ def spherical(hands, points, axes, hand, key, near):
                     worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                 continue
             for n2 in range(2):
-                t2 = near[1] if span < FREE else angle(arm, e1 if n2 == 0 else e2, u2)[0]
-                c, s = np.cos(t2), -np.sin(t2)
-                t3 = angle(fore, add(around(W1, o2, u2, c, s), o3, -1.0), u3)[0]
-                d, e = np.cos(t3), -np.sin(t3)
+                t2, c, s, _ = _set(near[1]) if span < FREE else angle(arm, e1 if n2 == 0 else e2, u2)
+                t3, d, e, _ = angle(fore, add(around(W1, o2, u2, c, -s), o3, -1.0), u3)
+                s, e = -s, -e
                 x, y, z = about(about(x1, u2, c, s), u3, d, e), about(about(y1, u2, c, s), u3, d, e), about(about(z1, u2, c, s), u3, d, e)
                 v, w = seen(u6, x, y, z), seen(mark, x, y, z)
                 first5, second5, h5, miss = _wrist(u4, v, bend)
@@ -90,10 +95,10 @@ def spherical(hands, points, axes, hand, key, near):
                 for n5 in range(2):
                     t5 = first5 if n5 == 0 else second5
                     c, s = np.cos(t5), np.sin(t5)
-                    t4, size = angle(about(u6, u5, c, s), v, u4)
+                    t4, d, e, size = angle(about(u6, u5, c, s), v, u4)
                     if size < FREE**2:
-                        t4 = near[3]
-                    t6 = angle(mark, about(about(w, u4, np.cos(t4), -np.sin(t4)), u5, c, -s), u6)[0]
+                        t4, d, e, _ = _set(near[3])
+                    t6 = angle(mark, about(about(w, u4, d, -e), u5, c, -s), u6)[0]
                     b = 4 * n1 + 2 * n2 + n5
                     q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
                     flags[m, b] = SHOULDER * (h1 < SINGULAR) + ELBOW * (h2 < SINGULAR) + WRIST * (h5 < SINGULAR)
@@ -102,7 +107,7 @@ def spherical(hands, points, axes, hand, key, near):
     return q, flags, reason, gap
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _within(turn, point, last, u, upper, fore):
     """The turn itself where it leaves point - turned(last) within the elbow's reach, else one that brings it there if any does."""
     flat, span = _across(point, u), _across(last, u)
@@ -116,7 +121,7 @@ def _within(turn, point, last, u, upper, fore):
     return angle(span, flat, u)[0] + np.arccos(min(max((a * a + b * b - middle * middle) / (2 * a * b), -1.0), 1.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def parallel(hands, points, axes, hand, key, near):
     """Axes 2, 3, 4 are parallel; axes 5 and 6 cross in `key`. Arguments and results as of `spherical`."""
     q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
@@ -148,11 +153,10 @@ def parallel(hands, points, axes, hand, key, near):
             for n5 in range(2):
                 t5 = first5 if n5 == 0 else second5
                 c, s = np.cos(t5), np.sin(t5)
-                turn, size = angle(about(u6, u5, c, s), v, u2)
+                turn, d, e, size = angle(about(u6, u5, c, s), v, u2)
                 if size < FREE**2:  # axis 6 along 2: one motion of all four leaves the hand still, so take a place of it that can be
                     turn = angle(about(about(mark, u6, np.cos(near[5]), np.sin(near[5])), u5, c, s), w, u2)[0]
-                    turn = _within(turn, add(P1, o2, -1.0), last, u2, upper, lower)
-                d, e = np.cos(turn), np.sin(turn)
+                    turn, d, e, _ = _set(_within(turn, add(P1, o2, -1.0), last, u2, upper, lower))
                 t6 = angle(mark, about(about(w, u2, d, -e), u5, c, -s), u6)[0]
                 D = add(P1, about(last, u2, d, e), -1.0)
                 e1, e2, h2, far, close, span = elbows(o2, u2, upper, lower, D)
@@ -161,9 +165,9 @@ def parallel(hands, points, axes, hand, key, near):
                         worst, why = max(far, close), TOO_FAR if far > close else TOO_NEAR
                     continue
                 for n2 in range(2):
-                    t2 = near[1] if span < FREE else angle(arm, e1 if n2 == 0 else e2, u2)[0]
-                    t3 = angle(fore, add(around(D, o2, u2, np.cos(t2), -np.sin(t2)), o3, -1.0), u3)[0]
-                    t4 = sign4 * (turn - t2 - sign3 * t3)
+                    t2, f, g, _ = _set(near[1]) if span < FREE else angle(arm, e1 if n2 == 0 else e2, u2)
+                    t3 = angle(fore, add(around(D, o2, u2, f, -g), o3, -1.0), u3)[0]
+                    t4 = wrapped(wrapped(sign4 * (turn - t2 - sign3 * t3)))
                     b = 4 * n1 + 2 * n2 + n5
                     q[m, b, 0], q[m, b, 1], q[m, b, 2], q[m, b, 3], q[m, b, 4], q[m, b, 5] = t1, t2, t3, t4, t5, t6
                     flags[m, b] = SHOULDER * (h1 < SINGULAR) + ELBOW * (h2 < SINGULAR) + WRIST * (h5 < SINGULAR)

@@ -18,49 +18,58 @@ SHOULDER, ELBOW, WRIST = 1, 2, 4
 REACHED, OFF_AXIS, TOO_FAR, TOO_NEAR, TURNED_AWAY = 0, 1, 2, 3, 4
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def row(m, i):
     return m[i, 0], m[i, 1], m[i, 2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def add(a, b, k):
     """a + k b."""
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def about(v, u, c, s):
     """Vector v turned about the unit vector u by the angle of cosine c and sine s, right-handed."""
     w, k = cross(u, v), dot(u, v) * (1 - c)
     return c * v[0] + s * w[0] + k * u[0], c * v[1] + s * w[1] + k * u[1], c * v[2] + s * w[2] + k * u[2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def around(p, o, u, c, s):
     """Point p turned about the axis through o along u."""
     return add(about(add(p, o, -1.0), u, c, s), o, 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def angle(a, b, u):
-    """(angle from a to b about u, product of their lengths across u)."""
+    """(angle from a to b about u, its cosine, its sine, product of their lengths across u); 0 where one lies along u."""
     a, b = add(a, u, -dot(a, u)), add(b, u, -dot(b, u))
     s, c = dot(u, cross(a, b)), dot(a, b)
-    return atan2(s, c), sqrt(s * s + c * c)
+    size = sqrt(s * s + c * c)
+    if size == 0.0:
+        return 0.0, 1.0, 0.0, 0.0
+    return atan2(s, c), c / size, s / size, size
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def wrapped(t):
+    """An angle within a turn of zero, brought to -pi .. pi."""
+    return t - 2 * np.pi if t > np.pi else (t + 2 * np.pi if t < -np.pi else t)
+
+
+@njit(cache=True, error_model="numpy")
 def readings(a, b, less, more):
     """The two angles of a cos x + b sin x = c, with r = hypot(a, b), less = r - c, more = r + c: (first, second, sine between).
 
@@ -69,10 +78,10 @@ def readings(a, b, less, more):
     h = sqrt(max(less, 0.0) * max(more, 0.0))
     c = 0.5 * (more - less)
     middle, half = atan2(b, a), atan2(h, c)
-    return middle + half, middle - half, h
+    return wrapped(middle + half), wrapped(middle - half), h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shoulder(point, o, u1, u2, level):
     """Joint 1, by which the point, turned back about axis 1, lies at `level` along axis 2: (first, second, half their spread in m,
     by how much the point is too near the axis, its distance, both in m)."""
@@ -85,7 +94,7 @@ def shoulder(point, o, u1, u2, level):
     return first, second, h, abs(c) - r, r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def elbows(o, u, upper, fore, point):
     """Two elbow points, from o, at distance `upper` from the axis (o, u) and `fore` from a point, all seen along u:
     (first, second, height, by how much the point is too far, too near, its distance), all in m."""
@@ -104,7 +113,7 @@ def elbows(o, u, upper, fore, point):
     return add(along, side, h), add(along, side, -h), h, far - upper - fore, abs(upper - fore) - far, far
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forward(q, points, axes, hand):
     """(m, 3, 3) hand points A, B, C (rows) of joint angles q (m, 6); points, axes (6, 3) and hand (3, 3) at zero."""
     out = np.empty((len(q), 3, 3))
@@ -118,7 +127,7 @@ def forward(q, points, axes, hand):
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def seen(v, ex, ey, ez):
     """A vector of the hand at zero, where the hand's x, y, z now point along ex, ey, ez."""
     return add(add(add((0.0, 0.0, 0.0), ex, v[0]), ey, v[1]), ez, v[2])

@@ -140,7 +140,6 @@ def inverse(T_base_platform, six, near=None):
     kernel = branches.spherical if six.kind == "spherical" else branches.parallel
     near = np.zeros(6) if near is None else np.asarray(near, float)
     q, flags, reason, gap = kernel(_hand(matrix.reshape(-1, 4, 4), six), six.points, six.axes, six.hand, six.key, near)
-    q -= 2 * np.pi * np.round(q / (2 * np.pi))
     there = flags >= 0
     return Branches(q.reshape(*shape, 8, 6), there.reshape(*shape, 8), np.maximum(flags, 0).reshape(*shape, 8), reason.reshape(shape),
                     gap.reshape(shape))

@@ -59,9 +59,10 @@ def _closed_forms():
                "<= 1e-9 m, none missed")
         yield f"{name}: poses by number of branches", ", ".join(f"{n}: {k}" for n, k in enumerate(np.bincount(found.there.sum(1))) if k), ""
         T = mechanism.forward(q, arm)
-        times = [_timed(lambda six=six, T=T: wrist.inverse(T, six)) for _ in range(5)]
-        numeric = _timed(lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0)) / 2000
-        yield f"{name}: closed-form inverse, all branches, batch of 100 000, median of 5", f"{1e5 / np.median(times):.0f} poses/s", ">= 100 000"
+        times = [_timed(lambda six=six, T=T: wrist.inverse(T, six), time.process_time) for _ in range(5)]
+        numeric = _timed(lambda T=T, q=q, arm=arm: mechanism.solve(T[:2000], arm, q[:2000] + 0.05, starts=0), time.process_time) / 2000
+        reached = f"{1e5 / np.median(times):.0f} poses/s"
+        yield f"{name}: closed-form inverse, all branches, 100 000 at once, median of 5, of one processor", reached, ">= 100 000"
         yield f"{name}: ratio to the numeric solver, started 0.05 rad away, one branch", f"{numeric * 1e5 / np.median(times):.0f} x", ""
 
 
@@ -79,7 +80,7 @@ def _identification():
             z.append(error[free] / np.sqrt(np.diag(found.covariance))[free])
             steps.append(found.iterations)
         z = np.array(z)
-        yield (f"{name}: {free.sum()} parameters, parallel axes within 1e-4 rad, 40 arms: converged in", f"{min(steps)} to {max(steps)} steps", "converges")
+        yield f"{name}: {free.sum()} parameters, axes within 1e-4 rad of parallel, 40 arms", f"{min(steps)} to {max(steps)} steps", "converges"
         yield (f"{name}: parameters within 3 sigma; variance of z; worst |z|",
                f"{100 * (np.abs(z) < 3).mean():.2f} %; {np.var(z):.3f}; {np.abs(z).max():.2f}", "99.73 %; 1")
     rng = np.random.default_rng(50)
@@ -95,7 +96,8 @@ def _identification():
         got = model.predicted(q, found.arm)
         error = np.linalg.norm(got.translation, axis=1) - np.linalg.norm(want.translation, axis=1)
         error = np.abs(error) if seen.kind == "distance" else np.linalg.norm(got.translation - want.translation, axis=1)
-        yield f"{name}: {'length' if seen.kind == 'distance' else 'position'} error at 200 new configurations", f"{error.mean() * 1e6:.1f} um mean", ""
+        what = "length" if seen.kind == "distance" else "position"
+        yield f"{name}: {what} error at 200 new configurations", f"{error.mean() * 1e6:.1f} um mean", ""
 
 
 def _real():
@@ -154,9 +156,9 @@ def _wrenches():
     yield "wrench: inside the stated 95 % interval, each component", f"{100 * each.min():.2f} to {100 * each.max():.2f} %", "93 to 97 %"
 
 
-def _timed(function):
-    start = time.perf_counter()
+def _timed(function, clock=time.perf_counter):
+    start = clock()
     function()
-    return time.perf_counter() - start
+    return clock() - start
 
 
