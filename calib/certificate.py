@@ -42,7 +42,7 @@ class HeldOut:
 
 
 def figures(errors):
-    """Figures of pose errors (n, 6), position (m) and rotation (rad)."""
+    """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
     def three(parts):
         length = np.linalg.norm(parts, axis=1)
         return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
@@ -78,9 +78,13 @@ def model_covariance(calibration, T_base_platform):
 
 
 def errors_of(correction, samples):
-    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's."""
+    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
+    rotation was not measured."""
     nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    return difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    for one in errors:
+        one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
+    return errors
 
 
 def certify(samples, nominal, rng):

@@ -80,7 +80,7 @@ def save(path, calibration):
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"visited": correction.visited.tolist()} if arm else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": asdict(calibration.held_out), "provenance": calibration.provenance,
+        "held_out": nulls(asdict(calibration.held_out)), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -104,7 +104,7 @@ def load(path):
         parts = tuple(None if part is None else _part_in(part, Profile if arm else Radial) for part in tree["remainder"])
         correction = ArmCorrection(nominal, fitted, parts, np.array(tree["visited"], float)) if arm else Correction(nominal, fitted, parts)
         held = tree["held_out"]
-        held_out = HeldOut(_figures_in(held["before"]), _figures_in(held["after"]), tuple(held["floor"]), tuple(held["ratio"]))
+        held_out = HeldOut(_figures_in(held["before"]), _figures_in(held["after"]), _numbers_in(held["floor"]), tuple(held["ratio"]))
         scatter = np.array(tree["pose_scatter" if arm else "strut_scatter"], float)
         return Calibration(correction, np.array(tree["parameter_covariance"], float), scatter,
                            tuple(tree["fit"]["frames"]), tuple(tree["fit"]["left_out"]), held_out, tree["provenance"])
@@ -149,4 +149,17 @@ def _part_in(tree, kind):
 
 
 def _figures_in(tree):
-    return Figures(tree["n"], tuple(tree["position"]), tuple(tree["rotation"]), tuple(tree["bias"]), tuple(tree["mean"]))
+    return Figures(tree["n"], *(_numbers_in(tree[name]) for name in ("position", "rotation", "bias", "mean")))
+
+
+def _numbers_in(values):
+    return tuple(np.nan if value is None else value for value in values)
+
+
+def nulls(tree):
+    """The same with null for figures of what was not measured: JSON has no NaN."""
+    if isinstance(tree, dict):
+        return {name: nulls(value) for name, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [nulls(value) for value in tree]
+    return None if isinstance(tree, float) and not np.isfinite(tree) else tree

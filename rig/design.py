@@ -118,12 +118,13 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad)."""
+    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad), None for
+    one that sees positions alone (a reflector, a touched ball)."""
 
     base: str
     tool: str
     position_sigma: float
-    rotation_sigma: float
+    rotation_sigma: float | None
 
 
 @dataclass(frozen=True, slots=True)

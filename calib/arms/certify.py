@@ -7,7 +7,7 @@ import numpy as np
 from calib.arms import model, profile
 from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify
-from calib.arms.observations import of_poses
+from calib.arms.observations import of_samples
 from calib.arms.place import placed
 from calib.certificate import GAIN, HeldOut, compare, correlation, errors_of
 from calib.samples import blocks
@@ -38,8 +38,8 @@ def certify(samples, nominal, instrument, rng):
     """
     stretches = blocks(len(samples), min(STRETCHES, len(samples))) % PARTS
     plain, full = [_held_out(samples, nominal, instrument, stretches, profiles) for profiles in (False, True)]
-    precision = np.linalg.inv(_spread(plain[1]))
-    gain = [np.einsum("ni,ij,nj->n", e, precision, e) for e in (plain[1], full[1])]
+    scale = _spread(plain[1])
+    gain = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     gain = gain[0] - gain[1]
     pays = bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
     rows = rng.permutation(np.arange(len(samples)) % PARTS)
@@ -52,7 +52,7 @@ def certify(samples, nominal, instrument, rng):
 
 def calibrate(samples, nominal, instrument, profiles):
     """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry."""
-    observations = of_poses(samples)
+    observations = of_samples(samples)
     owners = owners_model(observations, nominal, instrument)
     found = identify(observations, owners)
     parts = (None,) * len(nominal.joints)
@@ -79,7 +79,8 @@ def owners_model(observations, nominal, instrument):
 def model_covariance(calibration, commands):
     """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters' and what the model leaves."""
     J = model.parameter_jacobian(commands, calibration.correction.fitted)
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+    known = np.arange(6) < len(calibration.scatter)  # of rotations that were never measured, nothing is known beyond the parameters
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
 
 
 def _held_out(samples, nominal, instrument, part, profiles):
@@ -91,6 +92,5 @@ def _held_out(samples, nominal, instrument, part, profiles):
 
 
 def _spread(errors):
-    """(6, 6) second moments, of positions and rotations apart, a robust scale for comparing two fits."""
-    scale = np.median(errors**2, axis=0)
-    return np.diag(np.repeat([scale[:3].mean(), scale[3:].mean()], 3)) + 1e-30 * np.eye(6)
+    """(6,) a robust scale of positions and of rotations, for comparing two fits."""
+    return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15

@@ -70,14 +70,22 @@ class Observations:
         return u[:, None, :] @ J
 
 
+def of_samples(samples):
+    """Observations of Samples: whole poses, or positions where rotations were not measured (their variance is infinite)."""
+    if np.isfinite(samples.covariance).all():
+        return of_poses(samples)
+    return of_positions(samples.commanded, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
+
+
 def of_poses(samples):
     """Observations of Samples: whole poses, with their covariance and their common errors."""
     return Observations("pose", samples.commanded, samples.T_base_platform, samples.covariance, samples.common)
 
 
 def of_positions(q, positions, sigma):
-    """Observations of target positions (m, 3) m at joint angles q (m, n), standard deviation sigma (m) per axis."""
-    return Observations("position", np.asarray(q, float), np.asarray(positions, float), np.tile(sigma**2 * np.eye(3), (len(q), 1, 1)),
+    """Observations of target positions (m, 3) m at joint angles q (m, n), standard deviation sigma (m, one or m) per axis."""
+    variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
+    return Observations("position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3),
                         np.zeros((len(q), 3, 0)))
 
 

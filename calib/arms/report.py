@@ -13,12 +13,13 @@ from calib.report import coverage, flat, page, table
 def calibration_page(path, recording, calibration, samples, done):
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     held = done.held_out
+    floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
     rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
                                                 ("corrected, random rows", done.scattered.after))]
     parts = [f"<p>Held-out poses (a third at a time, whole stretches in turn, N = {held.after.n}): the mean position error falls from "
              f"<b>{held.before.mean[0] * 1e3:.3f} mm</b> to <b>{held.after.mean[0] * 1e3:.4f} mm</b>; by RMS {held.ratio[0]:.1f} times (95 % "
-             f"interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}). The measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm "
-             f"and {held.floor[1] * 1e3:.4f} mrad. Rows drawn at random flatter: their neighbours in time were fitted.</p>",
+             f"interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}). The measured poses themselves are uncertain by {floor}. "
+             "Rows drawn at random flatter: their neighbours in time were fitted.</p>",
              table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _errors(calibration, samples),
              "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
@@ -30,13 +31,14 @@ def calibration_page(path, recording, calibration, samples, done):
 
 
 def _figures(f):
-    return [f"{value * 1e3:.4f}" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
+    return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
 
 
 def _errors(calibration, samples):
     before, after = errors_of(calibration.correction, samples)
     figure = Figure(figsize=(11, 3), layout="constrained")
-    for axes, part, label in zip(figure.subplots(1, 2), (slice(0, 3), slice(3, 6)), ("position, mm", "rotation, mrad")):
+    seen = [(part, label) for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad")) if np.isfinite(after[:, part]).all()]
+    for axes, (part, label) in zip(np.ravel(figure.subplots(1, len(seen))), seen):
         for errors, name in ((before, "owner's model"), (after, "corrected")):
             axes.semilogy(samples.frame, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=3, label=name)
         axes.set(xlabel="frame", ylabel=label)

@@ -37,7 +37,7 @@ def run(arguments):
     same = used == calibration.provenance["inputs_sha256"]
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
     if arguments.json:
-        print(json.dumps(_verification(held, same, sampled, driven), indent=1))
+        print(json.dumps(store.nulls(_verification(held, same, sampled, driven)), indent=1))
         return
     if same:
         print("warning: the calibration was made from this very recording, so these figures are not held out", file=sys.stderr)

@@ -7,7 +7,9 @@ import numpy as np
 from calib.arms import model, observations
 from calib.samples import Samples
 from rig.design import Instrument
-from rig.pose import exp, pose
+from rig.pose import exp, pose, vector
+from rig.recording import POSE_COLUMNS
+from rig.writing import write_table
 from tests.rig.arms import configurations
 
 TRACKER = Instrument("free", "free", 2e-5, 1e-4)
@@ -48,3 +50,17 @@ def wired(true, nominal, count, rng, sigma=5e-5):
     """Observations of one distance: a drawn wire from the frame's origin to the hand."""
     q = configurations_of(nominal, count, rng)
     return observations.of_distances(q, np.linalg.norm(model.predicted(q, true).translation, axis=1) + sigma * rng.normal(size=count), sigma)
+
+
+def write(folder, nominal, samples, base="free", tool="free", positions_alone=False, sigma=(2e-5, 1e-4)):
+    """A recording of Samples as an instrument's owner would leave it."""
+    folder.mkdir()
+    sigmas = f"position_sigma = {sigma[0]}\n" + ("" if positions_alone else f"rotation_sigma = {sigma[1]}\n")
+    (folder / "rig.toml").write_text(f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {nominal.rows.tolist()}\n'
+                                     f'limits = {nominal.limits.tolist()}\n[instrument]\nbase = "{base}"\ntool = "{tool}"\n{sigmas}')
+    names = POSE_COLUMNS[: 3 if positions_alone else 6]
+    write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{frame},{t + 5.0},," for frame, t in zip(samples.frame, samples.t)])
+    write_table(folder / "commands.csv", ("t", *nominal.axes),
+                [",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)]) for t, q in zip(samples.t, samples.commanded) for wait in (4.0, 6.0)])
+    rows = vector(samples.T_base_platform)[:, : len(names)]
+    write_table(folder / "poses.csv", ("frame", *names), [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)])

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from calib import store
 from calib.arms import certify as certifying
 from calib.arms import model
 from calib.arms.certify import calibrate, certify
+from rig import cli
 from rig.errors import Unreachable
-from rig.pose import difference
+from rig.pose import difference, exp, vector
 from tests.calib import arm_worlds as worlds
+from tests.conftest import make_recording
 from tests.rig.arms import SEVEN, UR10, configurations
 
 RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
@@ -122,6 +125,40 @@ def test_the_file_keeps_everything(plain, tmp_path):
     assert json.loads((tmp_path / "c.json").read_text())["parameter_order"].startswith("base x, base y")
 
 
+@pytest.mark.parametrize("base, tool, alone", [("free", "free", False), ("rig", "rig", False), ("free", "rig", False), ("free", "free", True)])
+def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
+    """Whatever of the instrument's place is known, and whatever it sees: what is then commanded gives the wanted pose."""
+    rng = np.random.default_rng(6)
+    true = worlds.secret(UR10, rng)
+    true = replace(true, base=true.base if base == "free" else exp(2e-4 * rng.normal(size=6)),
+                   tool=true.tool if tool == "free" else exp(2e-4 * rng.normal(size=6)))
+    worlds.write(tmp_path / "rec", UR10, worlds.tracked(true, UR10, 160, rng), base, tool, alone)
+    worlds.write(tmp_path / "other", UR10, worlds.tracked(true, UR10, 40, rng), base, tool, alone)
+    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 0
+    assert f"{27 if alone else 30} of {27 if alone else 30} parameters fitted" in capsys.readouterr().out
+    assert cli.main(["verify", str(tmp_path / "c.json"), str(tmp_path / "other"), "--json"]) == 0
+    verified = json.loads(capsys.readouterr().out)
+    assert verified["held_out"] and verified["after"]["position"]["mean"] < 8e-5 < 3e-4 < verified["before"]["position"]["mean"]
+    assert (verified["after"]["rotation"]["mean"] is None) == alone
+    if alone:
+        return
+    q = np.array([[0.4, 0.3, 1.0, -0.7, 0.9, 0.2], [-0.8, -0.6, -1.2, 0.5, -1.1, 1.0]])
+    wanted = model.predicted(q, true)
+    rows = [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in enumerate(vector(wanted))]
+    (tmp_path / "wanted.csv").write_text("\n".join(["frame,x,y,z,rx,ry,rz", *rows]) + "\n")
+    assert cli.main(["correct", str(tmp_path / "c.json"), "--poses", str(tmp_path / "wanted.csv"), "--out", str(tmp_path / "q.csv")]) == 0
+    commands = np.loadtxt(tmp_path / "q.csv", delimiter=",", skiprows=1)[:, 1:]
+    assert np.linalg.norm(difference(model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
+
+
+def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys):
+    make_recording(tmp_path / "rec", design, rig_text + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\n', 3, count=8)
+    (tmp_path / "rec" / "poses.csv").write_text("frame,x,y,z\n" + "".join(f"{i},0,0,0.4\n" for i in range(8)))
+    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
+    assert "positions alone calibrate arms" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_real_arm_through_the_command_line(shared, tmp_path):
     def run(*arguments, ok=True):
         done = subprocess.run([*RIG, *map(str, arguments)], capture_output=True, text=True, timeout=300)
