@@ -34,7 +34,7 @@ def certify(samples, nominal, instrument, rng):
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
     samples : Samples; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
-    rng : numpy Generator, for the random rows and the bootstrap. Raises NotEnoughData, RigError as `identify`
+    rng : numpy Generator, for the random rows and the bootstrap. Raises NotEnoughData, RigError as `calibrate`
     """
     stretches = blocks(len(samples), min(STRETCHES, len(samples))) % PARTS
     plain, full = [_held_out(samples, nominal, instrument, stretches, profiles) for profiles in (False, True)]
@@ -51,7 +51,10 @@ def certify(samples, nominal, instrument, rng):
 
 
 def calibrate(samples, nominal, instrument, profiles):
-    """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry."""
+    """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry.
+
+    Raises what `identify` raises
+    """
     observations = of_samples(samples)
     owners = owners_model(observations, nominal, instrument)
     found = identify(observations, owners)

@@ -22,6 +22,7 @@ ROUNDS = 12  # of weighing anew; one that still wavers then stays as it was
 SETTLED = 1e-3  # share by which the scatter may still change
 GATE = 6.0  # standard deviations beyond which an observation is left out
 EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts as the arm's
+FARTHEST = 0.1  # m; an owner's model that misses by more is of another arm, or stands elsewhere
 LONGEST_STEP = 0.5  # m and rad, of one iteration
 
 
@@ -74,12 +75,16 @@ def identify(observations, nominal, free=None):
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.arms.place)
     free : (p,) bool, the parameters to fit, those of `parameters` by default
-    Raises NotEnoughData for fewer equations than parameters, RigError where the fit does not settle
+    Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not settle
     """
     free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
     k = observations.residuals(nominal).shape[1]
     if k * len(observations) <= free.sum():
         raise NotEnoughData(f"{len(observations)} observations give {k * len(observations)} equations, too few for {free.sum()} parameters")
+    far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
+    if far > FARTHEST:
+        raise RigError(f"what was measured is {far * 1e3:.0f} mm (median) from where the owner's model has it: are these the joint angles of these "
+                       "poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
     inliers, arm, total = np.ones(len(observations), bool), nominal, 0
     scatter = _scatter(observations.residuals(nominal), observations, inliers, 0)  # cautious weights first, the instrument's when earned
     for _ in range(ROUNDS):

@@ -151,6 +151,13 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
     assert np.linalg.norm(difference(model.predicted(commands, true), wanted)[:, :3], axis=1).max() < 5e-5
 
 
+def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
+    rng = np.random.default_rng(6)
+    worlds.write(tmp_path / "rec", UR10, worlds.tracked(worlds.secret(UR10, rng), UR10, 60, rng), "rig", "free")
+    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
+    assert "mm (median) from where the owner's model has it" in capsys.readouterr().err and not (tmp_path / "c.json").exists()
+
+
 def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys):
     make_recording(tmp_path / "rec", design, rig_text + '\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\n', 3, count=8)
     (tmp_path / "rec" / "poses.csv").write_text("frame,x,y,z\n" + "".join(f"{i},0,0,0.4\n" for i in range(8)))
