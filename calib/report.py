@@ -51,7 +51,7 @@ def measurement_page(path, recording, measurement, collected):
              f"{np.sqrt((position**2).mean()) * 1e6:.1f} &micro;m and {np.sqrt((rotation**2).mean()) * 1e6:.1f} &micro;rad "
              "(RMS standard uncertainty of its length, cameras' own uncertainty included).</p>",
              "<h2>What the cameras leave over</h2><p class=note>Mean residual over patches of the image, drawn enlarged; a pattern here is a lens "
-             "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", _coverage(vector(m.T_base_platform)),
+             "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", coverage(vector(m.T_base_platform)),
              "<h2>How well each pose is known</h2>", _uncertainty(m, position, rotation), "<h2>Cameras</h2>", _cameras(recording, m)]
     worst = _worst_markers(m)
     if worst:
@@ -90,7 +90,8 @@ def _residual_maps(m):
     return figure
 
 
-def _coverage(vectors):
+def coverage(vectors):
+    """Figure of where poses lie: vectors (n, 6) position (m) and rotation vector (rad)."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
     for a, (i, j) in zip(axes[:2], ((0, 1), (0, 2))):
@@ -150,8 +151,8 @@ def calibration_page(path, recording, calibration, samples, found):
              "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
-             _coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
-             "<h2>Where this came from</h2>", table(("what", "value"), _flat(calibration.provenance))]
+             coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
+             "<h2>Where this came from</h2>", table(("what", "value"), flat(calibration.provenance))]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
@@ -208,9 +209,10 @@ def _parameters(calibration):
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
 
-def _flat(tree, prefix=""):
+def flat(tree, prefix=""):
+    """Rows (name, value) of a nested dict, for a table."""
     rows = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        rows += _flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+        rows += flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
     return rows

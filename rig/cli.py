@@ -12,6 +12,7 @@ COMMANDS = {
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
+    "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "plan": "Which configurations to visit so that what is asked becomes visible.",

@@ -89,7 +89,7 @@ def _ranges(table, key, count, length_limit):
 
 def _instrument(table):
     return Instrument(table.text("base", ("free", "rig")), table.text("tool", ("free", "rig")),
-                      table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", above=0, most=1, unit="rad"))
+                      table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", None, above=0, most=1, unit="rad"))
 
 
 def _actuator(table):

@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.bench import absent, corners, forward, parameters, way
+from tests.bench import absent, arms, corners, forward, parameters, way
 
-ALL = {"way": way, "forward": forward, "absent": absent, "parameters": parameters, "corners": corners}
+ALL = {"way": way, "forward": forward, "absent": absent, "parameters": parameters, "corners": corners, "arms": arms}
 
 
 def main():
