@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.pose import skew
 from vision import lens
+from vision.targets import SQUARE
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier
@@ -18,7 +19,6 @@ FIRST_SIGHTINGS = 4  # sightings tried as candidates before all the others are
 AGREED = 0.8  # share of corners in consensus at which the first sightings suffice
 ITERATIONS = 25
 AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
-_SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ def _candidates(view, sightings, marker_map):
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
-        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * _SQUARE, view.ideal[rows], np.eye(3), None,
+        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None,
                                                                 flags=cv2.SOLVEPNP_IPPE_SQUARE)
         T_world_camera, T_marker_body = _inverse(view.T_camera_world[camera]), _inverse(marker_map.T_body_marker[marker].as_matrix())
         for k in range(count):
