@@ -203,3 +203,27 @@ def with_cameras(text, cameras):
         entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
         table["pose"] = entry
     return tomlkit.dumps(document)
+
+
+def with_places(text, places):
+    """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
+
+    text : a valid rig.toml; places : {target name: (Marker, ...)}
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for table in document["target"]:
+        if table["name"] not in places:
+            continue
+        for key in ("edge", "marker", "faces", "pose"):
+            table.pop(key, None)
+        rows = tomlkit.aot()
+        for marker in places[table["name"]]:
+            position, rotvec = np.split(np.round(vector(marker.pose), 10), 2)
+            row, entry = tomlkit.table(), tomlkit.inline_table()
+            entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+            row.update({"id": int(marker.id), "side": float(marker.side), "margin": float(np.round(marker.margin, 9)), "pose": entry})
+            rows.append(row)
+        table["marker"] = rows
+    return tomlkit.dumps(document)

@@ -12,7 +12,7 @@ import numpy as np
 from rig.errors import NotEnoughData, RigError
 from vision.normal import linearise, normal_equations, reduce, step
 from vision.predict import State, predict
-from vision.unknowns import POSE_SCALE, Unknowns, move, offset, to_datums, unknowns
+from vision.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
 
 MAX_ITERATIONS = 30
 CONVERGED = 1e-9  # relative decrease of the cost
@@ -28,7 +28,7 @@ class Adjustment:
     shared_covariance : (s, s) of the shared unknowns in their own units, named by shared_names
     prior : (s,) standard deviation that each was given before the images, infinite for none
     dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
-    unknowns : Unknowns, what was adjusted; starting from `stated` : State
+    unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
     """
 
     state: State
@@ -43,9 +43,10 @@ class Adjustment:
     cost: float
     unknowns: Unknowns
     stated: State
+    free: tuple[str, ...]
 
 
-def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=None):
+def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=None, worth=lens_prior):
     """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
@@ -53,6 +54,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     in its body: cube misplacement) are adjusted; the rest is held and taken as known
     progress : called after each iteration with the cost, or None
     stated : State whose lenses and places are what the owner stated, `state` by default
+    worth : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
     The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean motion
     of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the base
     frame: their mean motion is held at zero.
@@ -60,7 +62,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
-    u, estimate = unknowns(observations, state, stated, free)
+    u, estimate = unknowns(observations, state, stated, free, worth)
     whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
     if 2 * len(observations) < int(u.used.sum()) + 6 * len(u.poses):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
@@ -86,7 +88,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
             break
     else:
         raise RigError(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return _finish(observations, to_datums(estimate, stated, u), stated, u, whitener)
+    return _finish(observations, to_datums(estimate, stated, u), stated, u, whitener, tuple(free))
 
 
 def cost_of(observations, estimate, stated, unknowns, whitener):
@@ -98,7 +100,7 @@ def cost_of(observations, estimate, stated, unknowns, whitener):
     return float((whitened**2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
 
 
-def _finish(observations, estimate, stated, u, whitener):
+def _finish(observations, estimate, stated, u, whitener, free):
     residual, derivatives = linearise(observations, estimate, u, whitener)
     away = offset(estimate, stated, u)
     blocks = normal_equations(observations, derivatives, residual, u, away)
@@ -112,4 +114,4 @@ def _finish(observations, estimate, stated, u, whitener):
     dof = float(2 * len(observations) - u.used.sum() - taken)
     uv, _ = predict(observations, estimate.state)
     return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own @ own.T, u.names,
-                      np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated)
+                      np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)

@@ -119,5 +119,6 @@ def _decided(answers, t):
             why[f] = reason
         doubtful = {f: [one.T_world_body.as_matrix() for one in answer.candidates] for f, answer in answers.items() if not answer and answer.candidates}
         chosen = choose(found, doubtful, t)
+        why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
     poses = {f: RigidTransform.from_matrix(matrix) for f, matrix in (found | chosen).items()}
     return poses, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

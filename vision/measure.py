@@ -45,6 +45,16 @@ class Measurement:
     factor: float
     adjustment: Adjustment
 
+    @property
+    def places_free(self):
+        """Whether places of markers or targets were adjusted."""
+        return bool(self.adjustment.unknowns.markers or self.adjustment.unknowns.targets)
+
+    def used(self):
+        """Observations that were adjusted: the inliers of the solved frames."""
+        solved = np.searchsorted(self.observations.frames, self.frames)
+        return only(self.observations, solved).take(self.inliers[np.isin(self.observations.frame, solved)])
+
     def ids(self):
         """Identity of each row of the marker map."""
         return [number for target in self.design.targets for number in target.ids]

@@ -27,6 +27,10 @@ class State:
     moving: dict[int, RigidTransform]
     markers: MarkerMap | None = None
 
+    def at(self, frames):
+        """The same with only the frames of an index or mask (F,)."""
+        return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
+
 
 def predict(observations, state):
     """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind it."""

@@ -56,7 +56,7 @@ def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozens
         plain = only(observations, solved)
         kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = wide * CLOSING**rounds
-        good = _within_gate(kept, _at(state, solved), gate)
+        good = _within_gate(kept, state.at(solved), gate)
         weak = _unsupported(kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved})
         if weak:
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
@@ -65,7 +65,7 @@ def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozens
         if inliers is not None and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT)):
             break
         inliers, rounds = good, rounds + 1
-        result = adjust(kept.take(good), _at(state, solved), free, stated=stated)
+        result = adjust(kept.take(good), state.at(solved), free, stated=stated)
         state = _spread(result.state, state, solved)
         if state.moving and gate < BLURRED:
             factor[mine] = _scatter(plain, good, result.state)
@@ -125,10 +125,6 @@ def standing_error(observations, inliers, state):
         return covariance, 0.0
     covariance[rows] += (count[index] * excess)[:, None, None] * np.eye(2)
     return covariance, float(np.sqrt(excess))
-
-
-def _at(state, solved):
-    return State(state.cameras, state.platform[solved], {i: T[solved] for i, T in state.moving.items()}, state.markers)
 
 
 def _spread(found, state, solved):

@@ -67,10 +67,10 @@ def lens_prior(camera):
     return np.array(focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]])
 
 
-def unknowns(observations, state, stated, free):
+def unknowns(observations, state, stated, free, worth=lens_prior):
     """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
 
-    stated : State whose markers stand where their owner says
+    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, see `lens_prior`
     """
     if set(free) - set(GROUPS):
         raise ValueError(f"free takes {GROUPS}, got {free}")
@@ -96,7 +96,7 @@ def unknowns(observations, state, stated, free):
             poses[i] = add(6, [POSE_SCALE] * 6, 0.0, [(camera.name, part) for part in PARTS])
         if "lenses" in free:
             terms = lens.terms(camera.distortion)
-            lenses[i] = add(len(terms), lens_prior(camera).tolist(), 1.0, [(camera.name, term) for term in terms])
+            lenses[i] = add(len(terms), worth(camera).tolist(), 1.0, [(camera.name, term) for term in terms])
     rows = np.unique(observations.marker)
     markers, targets, middles = {}, {}, {}
     if "markers" in free:
