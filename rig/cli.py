@@ -12,6 +12,7 @@ COMMANDS = {
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
+    "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",

@@ -205,6 +205,14 @@ def with_cameras(text, cameras):
     return tomlkit.dumps(document)
 
 
+def camera_block(camera):
+    """Text of a [[camera]] table as rig.toml takes it, its pose as a place to fill in."""
+    matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
+    return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
+            f"distortion = {distortion}\npose = {{ position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }}   # camera in base: put in where it stands\n"
+            'shutter = "global"\n')
+
+
 def with_places(text, places):
     """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
 

@@ -14,7 +14,7 @@ from vision.normal import linearise, normal_equations, reduce, step
 from vision.predict import State, predict
 from vision.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
 
-MAX_ITERATIONS = 30
+MAX_ITERATIONS = 60
 CONVERGED = 1e-9  # relative decrease of the cost
 
 

@@ -18,10 +18,10 @@ GATE = 5.0  # standard deviations; a corner beyond is an outlier
 ROUNDS = 6
 LEAST_CORNERS = 6  # in a photograph that counts
 LEAST_IMAGES = 3
-WIDE = {"k1": 2.0, "k2": 5.0, "p1": 0.1, "p2": 0.1, "k3": 10.0, "k4": 2.0, "k5": 2.0, "k6": 2.0,
-        "s1": 0.1, "s2": 0.1, "s3": 0.1, "s4": 0.1, "tau_x": 0.1, "tau_y": 0.1}  # nothing is stated: these only keep a term finite
+WIDE = {"k1": 1.0, "k2": 2.0, "p1": 0.05, "p2": 0.05, "k3": 5.0, "k4": 0.5, "k5": 0.5, "k6": 0.5,
+        "s1": 0.02, "s2": 0.02, "s3": 0.02, "s4": 0.02, "tau_x": 0.03, "tau_y": 0.03}  # nothing is stated: these only keep a term finite
+UNMODELLED = 0.1  # px, a first guess of what board, print and lens add to every corner beyond its own covariance
 PINNED = 1e-9
-FLOOR = 0.02  # px; corners' stated covariances leave out what board and print add, which all corners share
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +53,7 @@ def observations_of(views, board):
     if len(usable) < LEAST_IMAGES:
         raise NotEnoughData(f"{len(usable)} photographs show {LEAST_CORNERS} corners of the board or more; a lens takes at least {LEAST_IMAGES}")
     corner = np.concatenate([view.corner for _, view in usable])
-    covariance = np.concatenate([view.covariance for _, view in usable]) + FLOOR**2 * np.eye(2)
+    covariance = np.concatenate([view.covariance for _, view in usable])
     frames = np.array([f for f, _ in usable])
     frame = np.repeat(np.arange(len(usable)), [len(view.corner) for _, view in usable])
     order = np.lexsort((corner, frame))
@@ -70,15 +70,16 @@ def calibrate(observations, width, height, terms, name="cam0", inliers=None):
     o = observations
     start = _start(o, width, height, max(terms, 4), name)
     stated, state, good = start, start, np.ones(len(o), bool) if inliers is None else inliers
-    for _ in range(ROUNDS if inliers is None else 1):
-        result = adjust(o.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
+    unmodelled = UNMODELLED**2
+    for k in range(ROUNDS):
+        weighed = replace(o, covariance=o.covariance + unmodelled * np.eye(2))
+        result = adjust(weighed.take(good), state, ("lenses",), stated=stated, worth=lambda camera: _worth(camera, terms))
         state = result.state
         residuals = o.uv - predict(o, state)[0]
-        if inliers is not None:
-            break
         square = (residuals**2).sum(axis=1)
-        near = square < GATE**2 * np.median(square) / 1.386
-        if (near == good).all():
+        before, unmodelled = unmodelled, max((square[good] - np.einsum("nii->n", o.covariance)[good]).mean() / 2, 0.0)
+        near = square < GATE**2 * np.median(square) / 1.386 if inliers is None else good
+        if k and (near == good).all() and abs(unmodelled - before) <= 0.05 * before:
             break
         good = near
     return Fit(terms, state.cameras[0], residuals, good, float(np.sqrt((residuals[good] ** 2).mean())), result)

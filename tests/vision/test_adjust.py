@@ -11,6 +11,7 @@ from rig.errors import NotEnoughData
 from rig.pose import difference, exp, log
 from tests.vision.scenes import known, scene
 from vision.adjust import adjust
+from vision.determined import determined
 from vision.normal import linearise
 from vision.predict import State, predict
 from vision.targets import marker_map
@@ -152,6 +153,9 @@ def test_a_term_that_nothing_shows_stays_put(setting):
     for before, after in zip(state.cameras, result.state.cameras):
         assert abs(after.distortion[4] - before.distortion[4]) < 0.05
         assert sigma[after.name, "k3"] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
+    weak = determined(result).undetermined
+    assert {name for _, names in weak for name in names} >= {f"{camera.name} k3" for camera in state.cameras}
+    assert "not determined by this recording" in "\n".join(determined(result).lines())
 
 
 def test_moving_camera_is_found_in_every_frame(setting):
