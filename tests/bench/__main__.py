@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.bench import absent, forward, way
+from tests.bench import absent, forward, lens, way
 
-ALL = {"way": way, "forward": forward, "absent": absent}
+ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens}
 
 
 def main():

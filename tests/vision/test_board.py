@@ -1,8 +1,11 @@
 """Boards: their descriptions, and chessboard corners placed in drawn images, with covariances held to the scatter."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import multivariate_normal
 
@@ -14,11 +17,11 @@ from vision import junction, lens
 from vision.board import parse, see
 
 TEXT = "charuco:5x7:0.036:0.018:DICT_6X6_250"
-PINHOLE = Camera("cam", 640, 480, [[800, 0, 320], [0, 800, 240], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
-BENT = Camera("cam", 640, 480, [[800, 0, 320], [0, 800, 240], [0, 0, 1]], [-0.35, 0.15, 0, 0, 0], RigidTransform.identity())
+PINHOLE = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+BENT = Camera("cam", 420, 460, [[500, 0, 210], [0, 500, 230], [0, 0, 1]], [-0.35, 0.15, 0, 0, 0], RigidTransform.identity())
 
 
-def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=6):
+def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=3):
     """A photograph of a board: every sample of every pixel looked up on the board, averaged, blurred, made noisy."""
     cells = 40
     sheet = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch, board.side,
@@ -28,8 +31,9 @@ def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=6):
     step = (np.arange(finer) + 0.5) / finer - 0.5
     u = (np.arange(camera.width)[:, None] + step).ravel()
     v = (np.arange(camera.height)[:, None] + step).ravel()
-    uv = np.stack(np.meshgrid(u, v), axis=-1)
-    ideal = lens.undistort(uv, camera.matrix, camera.distortion)
+    coarse = np.arange(-4, camera.width + 8, 4.0), np.arange(-4, camera.height + 8, 4.0)
+    ideal = lens.undistort(np.stack(np.meshgrid(*coarse), axis=-1), camera.matrix, camera.distortion)
+    ideal = np.stack([RectBivariateSpline(*coarse[::-1], ideal[..., c])(v, u) for c in range(2)], axis=-1)
     rays = np.concatenate([ideal, np.ones((*ideal.shape[:2], 1))], axis=-1)
     M = T_camera_board.as_matrix()
     H = np.stack([M[:3, 0], M[:3, 1], M[:3, 3]], axis=1)
@@ -45,10 +49,10 @@ def draw(board, camera, T_camera_board, noise=1.5, blur=0.8, seed=0, finer=6):
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, BENT], ids=["pinhole", "bent"])
-@pytest.mark.parametrize("turn", [[0.2, 0.1, 0.1], [0.6, -0.4, 0.8]])
+@pytest.mark.parametrize("turn", [[0.2, 0.1, 0.1], [0.5, -0.3, 0.2]])
 def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
     board = parse(TEXT)
-    image, true = draw(board, camera, pose([-0.07, -0.11, 0.5], turn))
+    image, true = draw(board, camera, pose([-0.085, -0.12, 0.38], turn))
     view = see(image, board, camera)
     assert len(view.corner) >= 20 and not set(view.corner) & {row for row, _ in view.left_out}
     errors = view.uv - true[view.corner]
@@ -59,7 +63,7 @@ def test_corners_lie_where_they_are_within_their_covariance(camera, turn):
 
 def test_a_lens_that_is_not_taken_out_bends_the_corners():
     board = parse(TEXT)
-    image, true = draw(board, BENT, pose([-0.07, -0.11, 0.4], [0.2, 0.1, 0.1]))
+    image, true = draw(board, BENT, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
     rms = [np.sqrt(((view.uv - true[view.corner]) ** 2).mean()) for view in (see(image, board, PINHOLE), see(image, board, BENT))]
     assert rms[1] < rms[0]
 
@@ -79,14 +83,14 @@ def test_share_is_the_bivariate_normals():
 
 def test_what_is_no_corner_gives_a_reason():
     board = parse(TEXT)
-    image, true = draw(board, PINHOLE, pose([-0.07, -0.11, 0.5], [0.2, 0.1, 0.1]))
+    image, true = draw(board, PINHOLE, pose([-0.085, -0.12, 0.38], [0.2, 0.1, 0.1]))
     u, v = true[8].astype(int)
     image[v - 6 : v + 40, u - 6 : u + 40] = 128
     view = see(image, board, PINHOLE)
     assert 8 not in view.corner and dict(view.left_out)[8]
-    empty = see(np.full((480, 640), 128, np.uint8), board, PINHOLE)
+    empty = see(np.full((460, 420), 128, np.uint8), board, PINHOLE)
     assert len(empty.corner) == 0 and empty.left_out == ()
-    noise = np.random.default_rng(0).integers(0, 255, (480, 640)).astype(np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (460, 420)).astype(np.uint8)
     assert len(see(noise, board, PINHOLE).corner) == 0
 
 
@@ -95,18 +99,16 @@ def test_a_grid_of_markers_is_read_too():
     assert board.points.shape == (48, 3)
     grid = cv2.aruco.GridBoard((4, 3), 0.03, 0.01, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
     np.testing.assert_allclose(np.array(grid.getObjPoints()), board.marker_corners(), atol=1e-8)
-    image = cv2.copyMakeBorder(grid.generateImage((480, 340)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
-    camera = Camera("cam", 600, 460, [[800, 0, 300], [0, 800, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+    image = cv2.copyMakeBorder(grid.generateImage((451, 331)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    camera = Camera("cam", 571, 451, [[800, 0, 300], [0, 800, 230], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
     view = see(cv2.GaussianBlur(image, (0, 0), 0.8), board, camera)
     assert len(view.corner) == 48
     H, _ = cv2.findHomography(board.points[view.corner, :2], view.uv)
-    np.testing.assert_allclose(cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0], view.uv, atol=0.3)
+    np.testing.assert_allclose(cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0], view.uv, atol=0.6)  # OpenCV draws to whole pixels
 
 
 def test_layout_is_opencvs():
     for legacy, text in ((False, "charuco:6x5:0.04:0.02:DICT_4X4_50"), (True, "charuco:5x6:0.04:0.02:DICT_4X4_50")):
-        from dataclasses import replace
-
         board = replace(parse(text), legacy=legacy)
         theirs = cv2.aruco.CharucoBoard((board.columns, board.rows), 0.04, 0.02, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
         theirs.setLegacyPattern(legacy)
