@@ -49,7 +49,8 @@ def _residuals(found):
     axes = figure.subplots()
     r, good = fit.residuals, fit.inliers
     scale = np.quantile(np.abs(r[good]), 0.98) / (0.03 * fit.camera.width)
-    axes.quiver(*uv[good].T, *r[good].T, found.observations.frame[good], angles="xy", scale_units="xy", scale=max(scale, 1e-9), cmap="tab20", width=0.0015)
+    axes.quiver(*uv[good].T, *r[good].T, found.observations.frame[good], angles="xy", scale_units="xy", scale=max(scale, 1e-9), cmap="tab20",
+                width=0.0015)
     axes.plot(*uv[~good].T, "rx", ms=5)
     axes.set(xlim=(0, fit.camera.width), ylim=(fit.camera.height, 0), aspect="equal",
              title=f"residuals, an arrow of {0.03 * fit.camera.width:.0f} px is {scale * 0.03 * fit.camera.width:.3f} px; a colour per photograph")

@@ -209,7 +209,8 @@ def camera_block(camera):
     """Text of a [[camera]] table as rig.toml takes it, its pose as a place to fill in."""
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
-            f"distortion = {distortion}\npose = {{ position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }}   # camera in base: put in where it stands\n"
+            f"distortion = {distortion}\n"
+            "pose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }   # camera in base: put in where it stands\n"
             'shutter = "global"\n')
 
 

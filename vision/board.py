@@ -67,7 +67,7 @@ def parse(text):
         columns, rows = (int(part) for part in parts[1].lower().split("x"))
     except ValueError:
         raise RigError(f"--board {text!r}: {parts[1]!r} is no size such as 5x7") from None
-    if not (2 <= columns * rows and 1 <= columns <= 100 and 1 <= rows <= 100) or kind == "charuco" and min(columns, rows) < 3:
+    if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (kind == "charuco" and min(columns, rows) < 3):
         raise RigError(f"--board {text!r}: {columns}x{rows} is no size of a {kind} board")
     lengths = []
     for name, part in zip(("square", "marker") if kind == "charuco" else ("side", "gap"), parts[2:4]):

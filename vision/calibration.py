@@ -118,7 +118,8 @@ def projection_uncertainty(fit, step=40):
     Source: mrcal, projection uncertainty
     """
     camera = fit.camera
-    u, v = np.meshgrid(np.arange(0, camera.width, step) + 0.0, np.arange(0, camera.height, step) + 0.0)
+    u, v = (np.linspace(0, size - 1, max(size // step, 2) + 1) for size in (camera.width, camera.height))
+    u, v = np.meshgrid(u, v)
     uv = np.stack([u, v], axis=-1)
     ideal = lens.undistort(uv, camera.matrix, camera.distortion)
     points = np.concatenate([np.nan_to_num(ideal), np.ones((*u.shape, 1))], axis=-1)

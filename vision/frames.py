@@ -38,7 +38,8 @@ class Views:
     """Views cut out of a recording's observations, the lens taken out of all of them once."""
 
     def __init__(self, observations, cameras, marker_map, finest):
-        self.observations, self.map, self.finest = observations.with_points(marker_map.corners[observations.marker, observations.corner]), marker_map, finest
+        self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
+        self.map, self.finest = marker_map, finest
         self.ideal, self.covariance = undistorted(observations.uv, observations.covariance, observations.camera, cameras)
         self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
@@ -117,7 +118,8 @@ def _decided(answers, t):
         for f, reason in astray(found, t).items():
             del found[f]
             why[f] = reason
-        doubtful = {f: [one.T_world_body.as_matrix() for one in answer.candidates] for f, answer in answers.items() if not answer and answer.candidates}
+        doubtful = {f: [one.T_world_body.as_matrix() for one in answer.candidates] for f, answer in answers.items()
+                    if not answer and answer.candidates}
         chosen = choose(found, doubtful, t)
         why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
     poses = {f: RigidTransform.from_matrix(matrix) for f, matrix in (found | chosen).items()}

@@ -238,9 +238,9 @@ def _rival(view, matrices, distance, matrix, chi2, finest):
             continue
         tried.append(matrices[at])
         other = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
-        if other is not None and other[3] / other[4] ** 2 - chi2 < RIVAL and other[2].mean() >= 0.9:
-            if _apart(other[0], matrix) is not None:
-                return Located(RigidTransform.from_matrix(other[0]), *other[1:3])
+        alike = other is not None and other[3] / other[4] ** 2 - chi2 < RIVAL and other[2].mean() >= 0.9
+        if alike and _apart(other[0], matrix) is not None:
+            return Located(RigidTransform.from_matrix(other[0]), *other[1:3])
     return None
 
 

@@ -30,7 +30,8 @@ class Move:
 class Places:
     """What adjusting places did. moves : one per marker or target; frames : (f,) numbers
     before, after : (f,) px, RMS per axis over the platform's corners of each frame, places as stated and as adjusted, all
-    else adjusted both times, the same corners; weighted : (before, after) whitened squares over degrees of freedom, of all corners; odd : {frame number: degrees} that turn against the frames around them
+    else adjusted both times, the same corners; weighted : (before, after) whitened squares over degrees of freedom, of all
+    corners; odd : {frame number: degrees} that turn against the frames around them
     """
 
     moves: tuple[Move, ...]

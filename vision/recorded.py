@@ -17,7 +17,8 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     """(Measurement, Collected or None) of a recording.
 
     free : what is adjusted, see vision.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
-    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames; detect_anew : read the images even where corners.csv is there
+    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames
+    detect_anew : read the images even where corners.csv is there
     progress : called with (label, done, of), or None
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """

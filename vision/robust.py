@@ -86,14 +86,17 @@ def _scatter(observations, inliers, state):
     size = 2 * np.bincount(group[inliers], minlength=group.max() + 1) - 6
     total = 2 * np.bincount(group[inliers], minlength=group.max() + 1) * _medians(group[inliers], square[inliers], group.max() + 1) / MEDIAN
     known = size > 0
-    mean = total[known] / size[known]
-    best = (-np.inf, 1.0, np.inf)
-    for alike in ALIKE:
-        typical = optimize.minimize_scalar(lambda log_s: -stats.f.logpdf(mean / np.exp(log_s), size[known], alike).sum() + known.sum() * log_s,
-                                           bounds=np.log(np.median(mean)) + np.array([-2.0, 2.0]), method="bounded")
-        if -typical.fun > best[0]:
-            best = (-typical.fun, np.exp(typical.x), alike)
-    _, typical, alike = best
+    if not known.any():
+        return np.ones(len(observations))
+    mean = np.maximum(total[known] / size[known], 1e-12)
+
+    def worse(log_typical, alike):
+        return known.sum() * log_typical - stats.f.logpdf(mean / np.exp(log_typical), size[known], alike).sum()
+
+    bounds = np.log(np.median(mean)) + np.array([-2.0, 2.0])
+    fits = [(optimize.minimize_scalar(worse, bounds=bounds, args=(alike,), method="bounded"), alike) for alike in ALIKE]
+    fit, alike = min(fits, key=lambda one: one[0].fun)
+    typical = np.exp(fit.x)
     if alike == max(ALIKE):
         return np.ones(len(observations))
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]

@@ -94,6 +94,7 @@ def _adjustment():
         path.write_text(layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
         design = design_file.load(path)
     observations, stated, _, T = scene(design, 1, frames=380)
+    observations = replace(observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1)))  # the noise that it was drawn with
     start = State(stated.cameras, T * exp(1e-3 * np.random.default_rng(0).normal(size=(len(T), 6))), {}, marker_map(design))
     spent = []
     for _ in range(3):

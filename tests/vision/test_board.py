@@ -104,7 +104,8 @@ def test_a_grid_of_markers_is_read_too():
     view = see(cv2.GaussianBlur(image, (0, 0), 0.8), board, camera)
     assert len(view.corner) == 48
     H, _ = cv2.findHomography(board.points[view.corner, :2], view.uv)
-    np.testing.assert_allclose(cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0], view.uv, atol=0.6)  # OpenCV draws to whole pixels
+    there = cv2.perspectiveTransform(board.points[view.corner, None, :2], H)[:, 0]
+    np.testing.assert_allclose(there, view.uv, atol=0.6)  # OpenCV draws to whole pixels
 
 
 def test_layout_is_opencvs():
@@ -117,10 +118,19 @@ def test_layout_is_opencvs():
 
 
 @pytest.mark.parametrize("text, what", [
-    ("charucoo:5x7:0.036:0.018:DICT_6X6_250", "charucoo"), ("charuco:5x7:0.036:DICT_6X6_250", "4 parts"), ("charuco:5by7:0.036:0.018:DICT_6X6_250", "5by7"),
-    ("charuco:5x7:36:18:DICT_6X6_250", "metres"), ("charuco:5x7:0.018:0.036:DICT_6X6_250", "does not fit"), ("charuco:5x7:a:0.018:DICT_6X6_250", "'a'"),
-    ("charuco:5x7:0.036:0.018:DICT_6X6", "DICT_6X6"), ("charuco:2x2:0.036:0.018:DICT_6X6_250", "2x2"), ("charuco:0x7:0.036:0.018:DICT_6X6_250", "0x7"),
-    ("charuco:20x20:0.036:0.018:DICT_4X4_50", "only 50"), ("charuco:5x7:nan:0.018:DICT_6X6_250", "nan"), ("", "no kind")])
+    ("charucoo:5x7:0.036:0.018:DICT_6X6_250", "charucoo"),
+    ("charuco:5x7:0.036:DICT_6X6_250", "4 parts"),
+    ("charuco:5by7:0.036:0.018:DICT_6X6_250", "5by7"),
+    ("charuco:5x7:36:18:DICT_6X6_250", "metres"),
+    ("charuco:5x7:0.018:0.036:DICT_6X6_250", "does not fit"),
+    ("charuco:5x7:a:0.018:DICT_6X6_250", "'a'"),
+    ("charuco:5x7:0.036:0.018:DICT_6X6", "DICT_6X6"),
+    ("charuco:2x2:0.036:0.018:DICT_6X6_250", "2x2"),
+    ("charuco:0x7:0.036:0.018:DICT_6X6_250", "0x7"),
+    ("charuco:20x20:0.036:0.018:DICT_4X4_50", "only 50"),
+    ("charuco:5x7:nan:0.018:DICT_6X6_250", "nan"),
+    ("", "no kind"),
+])
 def test_a_typo_in_the_board_is_named(text, what):
     with pytest.raises(RigError, match=what):
         parse(text)
