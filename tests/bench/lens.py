@@ -30,7 +30,7 @@ from vision.targets import MarkerMap, marker_map
 from vision.unknowns import move, offset, unknowns
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
-FEW = 12  # frames that SciPy, with differences for derivatives, is asked to adjust
+FEW = 5  # frames that SciPy, with differences for derivatives, is asked to adjust
 EVERYTHING = ("poses", "lenses", "markers", "targets")
 
 
@@ -129,7 +129,7 @@ def _scipys(observations, state):
         return np.r_[seen, (u.prior * offset(moved, state, u))[u.prior > 0]]
 
     begun = time.perf_counter()
-    found = least_squares(residual, np.zeros(k + frames * u.local), method="trf", x_scale="jac", xtol=1e-12, ftol=1e-10, max_nfev=12)
+    found = least_squares(residual, np.zeros(k + frames * u.local), method="lm", xtol=1e-12, ftol=1e-12)
     return 2 * found.cost, time.perf_counter() - begun
 
 
