@@ -14,6 +14,7 @@ COMMANDS = {
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
+    "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "plan": "Which configurations to visit so that what is asked becomes visible.",
     "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",

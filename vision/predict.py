@@ -9,6 +9,7 @@ from rig.design import Camera
 from rig.errors import RigError
 from rig.pose import exp, transform_points
 from vision import lens
+from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
 INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
@@ -16,11 +17,19 @@ INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Cameras (fixed ones posed), platform : T_base_platform (F,), moving : {camera index: T_base_camera (F,)}."""
+    """Cameras (fixed ones posed), platform : T_base_platform (F,), moving : {camera index: T_base_camera (F,)}.
+
+    markers : MarkerMap where the markers' places are known better than the observations state them, else None
+    """
 
     cameras: tuple[Camera, ...]
     platform: RigidTransform
     moving: dict[int, RigidTransform]
+    markers: MarkerMap | None = None
+
+    def at(self, frames):
+        """The same with only the frames of an index or mask (F,)."""
+        return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
 def predict(observations, state):
@@ -174,9 +183,14 @@ def by_camera(observations, state):
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
+def body_points(observations, state):
+    """(n, 3) m, the observed points in their body's frame."""
+    return observations.points if state.markers is None else state.markers.corners[observations.marker, observations.corner]
+
+
 def base_points(observations, state):
     """(n, 3) m, the observed points in the base frame."""
-    points = observations.points.copy()
+    points = body_points(observations, state).copy()
     on = observations.on_platform
     matrix = state.platform.as_matrix()[observations.frame[on]]
     points[on] = (matrix[:, :3, :3] @ points[on][..., None])[..., 0] + matrix[:, :3, 3]
