@@ -13,8 +13,10 @@ from rig.pose import exp
 MAX_ITERATIONS = 8
 SMALL = 0.02  # standard deviations; a step below settles a parameter
 HALVINGS = 8
+ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
 LOOSE = 3.0  # times the greatest usual size: what a number of a vector may be before anything is measured
+SWALLOWED = 0.15  # the same for a lens, whose terms and warps a camera's pose and stated lens take up almost whole
 Z95 = 1.959964  # normal quantile of a 95 % interval
 
 
@@ -128,7 +130,7 @@ def settle(knowledge, signatures):
         gained = _comparable(planes) - _comparable(planes_new)
         knowledge, planes = new, planes_new
         coordinates, column = tangents(planes, signatures)
-        if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < SLACK:
+        if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
     values = np.array([c.read(knowledge.effects[c.effect]) for c in coordinates])
     _, covariance = _step(planes, column, _priors(coordinates, knowledge.effects), values)
@@ -206,8 +208,14 @@ def _priors(coordinates, effects):
     return np.array([_loose(p, c.index) for p, c in zip(by, coordinates)])
 
 
+def _held(effects):
+    """What the priors on vectors cost."""
+    return float(sum(np.sum((np.asarray(getattr(e, p.name)) * _loose(p, 0)) ** 2) for e in effects for p in e.parameters
+                     if p.role == "linear" and isinstance(getattr(e, p.name), tuple) and len(getattr(e, p.name))))
+
+
 def _loose(parameter, index):
-    return 0.0 if index is None else 1 / (LOOSE * parameter.usual[1])
+    return 0.0 if index is None else 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])
 
 
 def _try(planes, coordinates, step, column):
@@ -232,7 +240,7 @@ def _try(planes, coordinates, step, column):
 
 def _comparable(planes):
     """Minus twice the log likelihood, Huber's for corners, but for a constant: what noise and scatter make of it included."""
-    cost = planes.cost() + planes.excess + 2 * len(planes.image) * np.log(planes.sigma)
+    cost = planes.cost() + planes.excess + 2 * len(planes.image) * np.log(planes.sigma) + _held(planes.knowledge.effects)
     return cost - 2 * np.linalg.slogdet(planes.W)[1].sum() if planes.knowledge.axes else cost
 
 
