@@ -14,6 +14,7 @@ from calib.diagnose.select import Selection, select
 from calib.diagnose.unknown import unknowns
 from rig.effects import BY_NAME
 from rig.effects.parse import to_dict as effect_dict
+from rig.pose import vector
 from rig.writing import write_text
 
 SCHEMA = "diagnosis/1"
@@ -147,6 +148,19 @@ def experiment(a, b):
     return f"{a}: {BY_NAME[a].experiment}; {b}: {BY_NAME[b].experiment}"
 
 
-def save(folder, diagnosis):
-    """Write diagnosis.json into a folder."""
+def save(folder, diagnosis, recording):
+    """Write diagnosis.json into a folder and, where a machine with cameras was commanded, what it takes to simulate it as found:
+    machine.json and the recording's own rig.toml, commands, frames and sensors."""
     write_text(folder / "diagnosis.json", json.dumps(to_dict(diagnosis), indent=1) + "\n")
+    k = diagnosis.selection.settled.knowledge
+    if not k.axes or k.seen is None:
+        return
+    m = k.design.mechanism
+    tree = {"effects": [effect_dict(effect) for effect in (*diagnosis.swapped, *diagnosis.effects)], "base_joints": m.base_joints.tolist(),
+            "platform_joints": m.platform_joints.tolist(), "strut_zeros": m.strut_zeros.tolist(),
+            "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
+                        for c in k.design.cameras]}
+    write_text(folder / "machine.json", json.dumps(tree) + "\n")
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if (recording.folder / name).exists():
+            write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))

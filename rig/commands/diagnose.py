@@ -28,7 +28,7 @@ def run(arguments):
     from calib.diagnose import result
 
     found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
-    result.save(out, found)
+    result.save(out, found, recording)
     tree = result.to_dict(found)
     for finding in tree["findings"]:
         print(f"{finding['effect']} at {finding['place']}: " + ", ".join(_parameter(*item) for item in finding["parameters"].items()))

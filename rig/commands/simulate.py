@@ -1,4 +1,4 @@
-"""rig simulate RIG.toml --plan .. --out REC."""
+"""rig simulate RIG.toml --plan .. --out REC, or rig simulate --from DIAGNOSIS --out DIR."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,7 +14,9 @@ SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("design", metavar="RIG.toml", type=Path, nargs="?")
+    parser.add_argument("--from", dest="source", metavar="DIR", type=Path, help="draw a diagnosed recording anew instead: DIR is what rig diagnose "
+                        "wrote; OUT gets two recordings, with/ and without/ the physics that was found")
     parser.add_argument("--plan", default="standard", help="parts joined by commas: sobol:N, grid:N, simplices:N, axes:N, ladder:N, payload:N, "
                         "moving:N, warmup:N, repeat:N, commands:FILE; or standard (the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
@@ -38,6 +40,10 @@ def run(arguments):
     from rig import design_file
     from rig.effects.parse import parse
 
+    if arguments.source is not None:
+        return _again(arguments)
+    if arguments.design is None:
+        raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
     design = design_file.load(arguments.design)
     effects = tuple(parse(text) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
@@ -76,6 +82,30 @@ def run(arguments):
     names = ", ".join(f"{effect.name} at {effect.place}" for effect in secret.effects) or "none"
     where = f"{out}" + (f", truth in {truth}" if truth else "")
     print(f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}; written: {where}")
+
+
+def _again(arguments):
+    """Draw a diagnosed recording anew, with and without what was found."""
+    if arguments.design is not None or arguments.machine or arguments.effect:
+        raise RigError("--from brings its own rig, machine and effects; leave out RIG.toml, --machine and --effect")
+
+    import numpy as np
+
+    from synthetic import simulation
+    from synthetic.again import again
+    from synthetic.pictures import Images
+
+    done = again(arguments.source)
+    out = fresh_folder(arguments.out, arguments.source)
+    sensor = next(iter(done.values())).world.true.sensor
+    sensor = replace(sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
+    _check(arguments, sensor)
+    images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
+    text = (arguments.source / "rig.toml").read_text(encoding="utf-8-sig")
+    for kind, part in done.items():
+        simulation.write(part, out / kind, text, np.random.default_rng(arguments.seed), arguments.noise, images)
+    names = ", ".join(f"{effect.name} at {effect.place}" for effect in done["with"].world.effects) or "none was found"
+    print(f"{len(done['with'].plan.t)} frames, effects: {names}; written: {out / 'with'} and {out / 'without'}")
 
 
 def _check(arguments, sensor):

@@ -1,0 +1,37 @@
+"""A diagnosed recording drawn anew: the same commands and exposures, the machine as it was found, with and without what was found."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig import machine, recording
+from rig.errors import FileError, RigError
+from rig.plan import Plan
+from rig.recording import Sensors
+from synthetic import world
+from synthetic.simulation import Simulation
+
+KINDS = ("with", "without")
+
+
+def again(folder):
+    """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and with none.
+
+    Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
+    """
+    path = folder / "machine.json"
+    if not path.exists():
+        raise FileError(path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording with cameras")
+    found = recording.load(folder)
+    if found.commands is None:
+        raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
+    secret = world.from_truth(path, found.design)
+    _, t = found.exposures.times()
+    sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
+    plan = Plan(found.commands, t, np.array([(0.0, 0.0)]))
+    out = {}
+    for kind in KINDS:
+        part = secret if kind == "with" else replace(secret, effects=())
+        rolls = any(c.shutter == "rolling" for c in part.true.cameras) or any(e.name == "rolling_shutter" for e in part.effects)
+        out[kind] = Simulation(part, plan, sensors, sensors, machine.run(part.true, plan.commands, t, part.effects, sensors, rates=rolls))
+    return out
