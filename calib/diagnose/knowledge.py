@@ -16,7 +16,7 @@ from vision.predict import Sightings, State, see
 from vision.recorded import measure_recording
 from vision.targets import MarkerMap, marker_map
 
-GROSS = 200.0  # px; a corner farther off belongs to something else
+GROSS = 60.0  # px; a corner farther off belongs to something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,11 +147,14 @@ def _seen(measured, knowledge):
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    markers = marker_map(knowledge.stated)
-    seen = seen_of(kept, measured.weights, markers)
-    off = np.linalg.norm(kept.uv - replace(knowledge, seen=seen).pixels(), axis=1)
-    near = off < GROSS
-    return seen if near.all() else seen_of(kept.take(near), measured.weights[near], markers)
+    return seen_of(kept, measured.weights, marker_map(knowledge.stated))
+
+
+def within_reach(knowledge):
+    """The same without corners so far from where they should be that they belong to something else."""
+    seen = knowledge.seen
+    near = np.linalg.norm(seen.observations.uv - knowledge.pixels(), axis=1) < GROSS
+    return knowledge if near.all() else replace(knowledge, seen=seen_of(seen.observations.take(near), seen.weights[near], seen.markers))
 
 
 def seen_of(observations, weights, markers):

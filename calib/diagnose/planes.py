@@ -131,7 +131,7 @@ class Planes:
 def linearise(knowledge):
     """Planes of a Knowledge: cameras, lenses and geometry are the freedoms, each frame's pose is free in the image."""
     k = knowledge
-    columns, priors, names, camera_columns = [], [], [], {}
+    priors, names, camera_columns = [], [], {}
     if k.seen is not None:
         order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns = _image(k)
         names += image_names
@@ -253,7 +253,8 @@ def _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image,
     Q = Column(image[:, 1:] @ half[:seen], basis)
     left = Column(image[:, 0] - Q.image @ z, rows[:, 0] - Q.struts @ z)
     return Planes(k, order, edges, whiten, local, to_local, W @ to_length if axes else to_length, W, left.image, left.struts, Q,
-                  Column(image[:, 1:], rows[:, 1:]), half, names, sigma, scatter, raw, camera_columns, by_frame(edges, F, axes, Q, left), at_own, z, excess)
+                  Column(image[:, 1:], rows[:, 1:]), half, names, sigma, scatter, raw, camera_columns,
+                  by_frame(edges, F, axes, Q, left), at_own, z, excess)
 
 
 def by_frame(edges, frames, axes, basis, left):

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose import knowledge as known
+from calib.diagnose.gross import exchanged, swaps
 from calib.diagnose.hypotheses import Signatures, families
+from calib.diagnose.knowledge import within_reach
 from calib.diagnose.prove import Proof, corner_noise, overall, prove
 from calib.diagnose.select import Selection, select
 from calib.diagnose.unknown import unknowns
 from rig.effects import BY_NAME
+from rig.effects.parse import to_dict as effect_dict
 from rig.writing import write_text
 
 SCHEMA = "diagnosis/1"
@@ -19,11 +22,12 @@ KEPT = 0.3  # share of an effect's weight that it must keep beside what is unkno
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """recording : its name; source : of the poses, in words; selection : Selection; proofs : [Proof], one for each finding;
+    """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else; selection : Selection; proofs : [Proof], one for each finding;
     fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}"""
 
     recording: str
     source: str
+    swapped: list
     selection: Selection
     proofs: list[Proof]
     fit: Proof
@@ -44,6 +48,8 @@ def diagnose(recording, only=None, without=(), progress=None):
     progress : called with (label, done, of), or None. Raises NotEnoughData where too little was measured, and what measuring raises
     """
     knowledge, source, _ = known.of_recording(recording, progress)
+    swapped = swaps(knowledge) if "marker_swap" not in without and (not only or "marker_swap" in only) else []
+    knowledge = within_reach(exchanged(knowledge, swapped))
     asked, skipped = families(knowledge, only, without)
     signatures = Signatures(knowledge)
     selection = select(knowledge, asked, signatures, progress)
@@ -53,7 +59,7 @@ def diagnose(recording, only=None, without=(), progress=None):
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:
         plane = selection.findings[0].score.family.plane
-    return Diagnosis(recording.folder.resolve().name, source, selection, proofs, overall(selection.settled, plane), left, skipped,
+    return Diagnosis(recording.folder.resolve().name, source, swapped, selection, proofs, overall(selection.settled, plane), left, skipped,
                      _noise(selection.settled.planes))
 
 
@@ -82,7 +88,10 @@ def _length(covariance):
 
 def to_dict(diagnosis):
     """The tree of diagnosis.json."""
-    findings = [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.selection.findings, diagnosis.proofs)]
+    findings = [{**effect_dict(effect), "evidence": {}, "cannot_be_told_from": []} for effect in diagnosis.swapped]
+    for finding in findings:
+        finding["parameters"] = {name: {"value": value, "unit": ""} for name, value in finding["parameters"].items()}
+    findings += [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.selection.findings, diagnosis.proofs)]
     findings += [{"effect": "unknown", "place": u.place,
                   "parameters": {"magnitude": {"value": u.magnitude, "unit": u.unit}, "depends_on": {"value": list(u.depends_on), "unit": ""}},
                   "evidence": {"p_value": u.p_value, "drop": u.drop}, "cannot_be_told_from": []} for u in _places(diagnosis.unknown)]

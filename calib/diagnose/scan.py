@@ -100,9 +100,11 @@ def view_atoms(planes, pixels):
 def framewise(atoms, weights):
     """(b (k, q), G (k, q, q), raw (k, q)) of candidates whose columns weigh atoms by weights (k, F, a, q): projections of the residual,
     Gram matrices with freedoms taken out, and squares before."""
-    b = np.einsum("kfaq,fa->kq", weights, atoms.beta, optimize=True)
-    K = np.einsum("kfaq,fap->kqp", weights, atoms.kappa, optimize=True)
-    G = np.einsum("kfaq,fab,kfbr->kqr", weights, atoms.gamma, weights, optimize=True)
+    k, F, a, q = weights.shape
+    rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
+    b = rows @ atoms.beta.ravel()
+    K = rows @ atoms.kappa.reshape(F * a, -1)
+    G = rows @ (atoms.gamma @ weights).reshape(k, F * a, q)
     return b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy()
 
 
@@ -151,17 +153,20 @@ def davies(drops, rank, dispersion, frames):
 def dispersion(planes, atoms, weights, coefficients):
     """(how much more frames' contributions to the projections scatter than the freedoms' remainder of the columns says, at least 1;
     frames that contribute). weights : (F, a, q)"""
-    kappa = np.einsum("faq,fap->fqp", weights, atoms.kappa)
-    K = kappa.sum(axis=0)
-    cross = kappa @ K.T
-    inner = np.einsum("faq,fab,fbr->fqr", weights, atoms.gamma, weights) - cross - np.swapaxes(cross, 1, 2) + K @ planes.framewise[1] @ K.T
-    contributions = np.einsum("faq,fa->fq", weights, atoms.beta) - planes.framewise[0] @ K.T
-    left = contributions - np.einsum("fij,j->fi", inner, coefficients)
-    meat, bread = left.T @ left, inner.sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
-    active = int((np.einsum("fqq->f", np.einsum("faq,fab,fbr->fqr", weights, atoms.gamma, weights)) > 0).sum())
+    turned = np.swapaxes(weights, 1, 2)
+    pushed = atoms.gamma @ weights
+    kappa = turned @ atoms.kappa
+    K, (rho, gram) = kappa.sum(axis=0), planes.framewise
+    reach = K.T @ coefficients
+    contributions = (turned @ atoms.beta[..., None])[..., 0] - rho @ K.T
+    expected = (turned @ (pushed @ coefficients)[..., None])[..., 0] - kappa @ reach + (gram @ reach - coefficients @ kappa) @ K.T
+    bread = np.einsum("faq,faq->q", weights, pushed) - (K**2).sum(axis=1)
+    seen = bread > SWALLOWED * np.einsum("faq,faq->q", weights, pushed)
+    meat = ((contributions - expected) ** 2).sum(axis=0)
+    active = int(pushed.any(axis=(1, 2)).sum())
     few = active / max(active - len(coefficients), 1)
-    return max(1.0, float(np.trace(meat / scale[:, None] / scale) / max(len(scale), 1)) * few), active
+    ratio = meat[seen] / bread[seen]
+    return max(1.0, float(ratio.mean() if seen.any() else 1.0) * few), active
 
 
 __all__ = ["Atoms", "Score", "davies", "dispersion", "framewise", "solve", "stepwise", "strut_atoms", "view_atoms", "whole"]

@@ -1,0 +1,55 @@
+"""Faces exchanged or glued on turned: told from corners that lie whole marker sides away from where they should be."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.effects.marker_swap import MarkerSwap
+from vision.predict import see
+
+FAR = 5.0  # px; a sighting farther off than this, in the middle, is gross
+NEAR = 0.2  # of the gross distance to which an exchange must bring it
+SHARE = 0.7  # of a marker's sightings that must be gross
+
+
+def swaps(knowledge):
+    """[MarkerSwap] that bring a marker's corners from gross errors to where they are seen. knowledge : Knowledge with all corners in"""
+    seen = knowledge.seen
+    if seen is None:
+        return []
+    off = _distance(knowledge, ())
+    ids, rows = seen.markers.id, seen.sightings.marker
+    gross = [m for m in np.unique(rows) if np.mean(off[rows == m] > FAR) > SHARE]
+    out, done = [], set()
+    for m in gross:
+        if m in done:
+            continue
+        trials = [MarkerSwap(f"marker {ids[m]}", float(other), float(turn)) for other in [-1, *(int(ids[n]) for n in gross if n != m)]
+                  for turn in range(4) if other >= 0 or turn]
+        distances = [np.median(_distance(knowledge, (trial,))[rows == m]) for trial in trials]
+        best = int(np.argmin(distances))
+        if distances[best] < max(NEAR * np.median(off[rows == m]), 2.0):
+            out.append(trials[best])
+            done |= {m, *np.flatnonzero(ids == int(trials[best].other))}
+    return out
+
+
+def exchanged(knowledge, found):
+    """Knowledge whose markers sit where [MarkerSwap] say, so that all else is asked of them there."""
+    if not found:
+        return knowledge
+    seen, markers = knowledge.seen, knowledge.seen.markers
+    for effect in found:
+        markers = effect.attach(markers)
+    o = seen.observations
+    o = replace(o, points=markers.corners[o.marker, o.corner], on_platform=markers.on_platform[o.marker])
+    return replace(knowledge, seen=replace(seen, observations=o, markers=markers))
+
+
+def _distance(knowledge, effects):
+    """(sightings,) px, the middle corner's distance from where effects put it."""
+    seen = knowledge.seen
+    quads = see(seen.sightings, knowledge.state, seen.markers, knowledge.t, effects, knowledge.sensors)
+    error = np.linalg.norm(seen.observations.uv - quads[seen.row, seen.observations.corner], axis=1)
+    total, count = np.bincount(seen.row, weights=error), np.bincount(seen.row)
+    return total / np.maximum(count, 1)
