@@ -63,9 +63,12 @@ def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
     """
     kind, numbers, rng = schedule(seed, index, kinds)
     catalogue = [e for e in ALL if e.name in effects] or ALL
+    numbers = [n % len(catalogue) for n in numbers]
+    if len(numbers) == 2 and numbers[0] == numbers[1]:
+        numbers[1] = (numbers[1] + 1) % len(catalogue)
     for attempt in range(TRIES):
         try:
-            return _drawn(kind, [catalogue[k % len(catalogue)] for k in numbers], rng, frames, blindfold)
+            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
         except RigError:
             if attempt == TRIES - 1:
                 raise

@@ -111,7 +111,8 @@ def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
     tree = _read(truth)
     try:
-        hidden = [Hidden(e["effect"], e["place"], e["parameters"], s) for e, s in zip(tree["effects"], tree["strengths"], strict=True)]
+        hidden = [Hidden(e["effect"], _place(e["effect"], e["place"], e["parameters"].get("other", -1)), e["parameters"], s)
+                  for e, s in zip(tree["effects"], tree["strengths"], strict=True)]
         kind, disturbance = tree["kind"], tree["disturbance"]
     except (KeyError, ValueError) as error:
         raise FileError(truth, f"is no truth of a trial: {error!r}") from None
@@ -119,14 +120,26 @@ def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
         return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
     tree = _read(diagnosis)
     try:
-        found = [Found(f["effect"], f["place"], {k: (p["value"], p.get("ci95")) for k, p in f["parameters"].items()},
-                       [(r["effect"], r["place"]) for r in f["cannot_be_told_from"]]) for f in tree["findings"]]
+        found = [_found(f) for f in tree["findings"]]
         floor = tree["fit"]["noise_floor"]
         ratio = tree["fit"]["heldout_after"] / floor if floor else float("nan")
         unexplained = tree["unexplained"] is not None or any(f.effect == "unknown" for f in found)
     except (KeyError, TypeError) as error:
         raise FileError(diagnosis, f"is no diagnosis: {error!r}") from None
     return Case(index, kind, disturbance, hidden, found, unexplained, ratio, seconds)
+
+
+def _found(f):
+    parameters = {name: (p["value"], p.get("ci95")) for name, p in f["parameters"].items()}
+    return Found(f["effect"], _place(f["effect"], f["place"], parameters.get("other", (-1,))[0]), parameters,
+                 [(r["effect"], r["place"]) for r in f["cannot_be_told_from"]])
+
+
+def _place(effect, place, other):
+    """The place; of two markers exchanged with each other, either of which may be given, the lower."""
+    if effect != "marker_swap" or other is None or other < 0:
+        return place
+    return f"marker {min(int(place.split(' ')[1]), int(other))}"
 
 
 def _read(path):
