@@ -1,33 +1,36 @@
-"""The hexapod's 42 parameters from measured poses: joint positions and strut zeros, by least squares on the closed loops.
+"""The hexapod's 42 parameters from measured poses: joint positions and strut zeros, by least squares on the poses they predict.
 
-Each strut closes a vector loop: commanded length + zero = |R a + t - b|. Weighted by the poses' covariance, the errors that
-all poses share (cameras and lenses) solved for together with the parameters, so that the struts' known lengths steady the
-cameras. Source: Masory, Wang and Zhuang, On the accuracy of a Stewart platform, ICRA 1993 (the loop); the shared errors
-as nuisance parameters are the exact linear form of one solve of cameras, lenses and geometry.
+Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops predict is
+weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for together with the
+parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On the accuracy of a Stewart
+platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form of one solve of cameras, lenses and
+geometry (calib/joint.py).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig.design import Hexapod
+from calib import closed_loop
+from calib.least_squares import Fit, Linear, fit
 from rig.errors import NotEnoughData, RigError
+from rig.design import Hexapod
 from rig.mechanisms import hexapod as mechanism
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
-MAX_ITERATIONS = 20
-CONVERGED = 1e-11  # m; largest step
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then stays as it was
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
 EXCESS = 3.0  # standard errors by which scatter must exceed the poses' own before it counts as the struts'
+NAMES = (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
+         *(f"zero of strut {i + 1}" for i in range(6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
     """What a fit of the 42 found.
 
-    hexapod : Hexapod with the fitted geometry; covariance : (42, 42) m^2, order base joints 1..6 (x y z), platform joints
-    1..6 (x y z), zeros 1..6; shared : (k,) the draw of the poses' shared errors
+    hexapod : Hexapod with the fitted geometry; covariance : (42, 42) m^2, order as NAMES; shared : (k,) the draw of the poses'
+    shared errors; root : (42, 42) 1/m, square root of the information in the poses alone
     residuals : (n, 6) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n, 6, 6) m^2
     scatter : (6,) m, scatter of each strut beyond the poses' own; inliers : (n,) bool
     """
@@ -35,10 +38,21 @@ class Identified:
     hexapod: Hexapod
     covariance: np.ndarray
     shared: np.ndarray
+    root: np.ndarray
     residuals: np.ndarray
     residual_covariance: np.ndarray
     scatter: np.ndarray
     inliers: np.ndarray
+
+
+def parameters(hexapod):
+    """(42,) m, joints and zeros of a Hexapod in the order of NAMES."""
+    return np.concatenate([hexapod.base_joints.ravel(), hexapod.platform_joints.ravel(), hexapod.strut_zeros])
+
+
+def with_parameters(hexapod, p):
+    """The Hexapod with parameters p (42,) m."""
+    return replace(hexapod, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
 
 
 def identify(samples, nominal, offset=None):
@@ -51,27 +65,52 @@ def identify(samples, nominal, offset=None):
     if len(samples) < 7:
         raise NotEnoughData(f"{len(samples)} poses cannot determine 42 parameters; it takes 7, better 30")
     lengths = samples.commanded - (0 if offset is None else offset)
-    inliers, scatter, found = np.ones(len(samples), bool), np.zeros(6), nominal
+    loops = Loops(samples, lengths, nominal)
+    inliers, scatter, p = np.ones(len(samples), bool), np.zeros(6), parameters(nominal)
     for _ in range(ROUNDS):
-        found, shared, covariance, left, S = _settle(samples, lengths, found, nominal, inliers, scatter)
+        found = loops.fit(p, inliers, scatter)
+        p = found.parameters
+        left, S = loops.closure(found)
         new_scatter, new_inliers = _scatter(left, S, inliers), _inliers(left, S, scatter)
         if new_inliers.sum() < 7:
             raise NotEnoughData(f"only {new_inliers.sum()} of {len(samples)} poses agree with one geometry")
         if (new_inliers == inliers).all() and np.abs(new_scatter - scatter).max() < 1e-9:
             break
         inliers, scatter = new_inliers, new_scatter
-    return Identified(found, covariance, shared, left, S, scatter, inliers)
+    return Identified(with_parameters(nominal, p), found.covariance, found.shared, found.root, left, S, scatter, inliers)
 
 
-def _settle(samples, lengths, found, nominal, inliers, scatter):
-    """Gauss-Newton for given weights: (hexapod, shared errors, covariance, residuals, their covariance)."""
-    for _ in range(MAX_ITERATIONS):
-        r, D, B, S = _linearise(samples, lengths, found)
-        step, shared, covariance = _solve(r, D, B, S + np.diag(scatter**2), inliers, found, nominal)
-        found = _moved(found, step)
-        if np.abs(step).max() < CONVERGED:
-            return found, shared, covariance, r + np.einsum("nij,j->ni", D, step) - B @ shared, S
-    raise RigError(f"the 42 parameters did not settle: the last step was {np.abs(step).max():.3g} m")
+class Loops:
+    """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start from again."""
+
+    def __init__(self, samples, lengths, nominal):
+        """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle"""
+        self.samples, self.lengths, self.nominal = samples, np.ascontiguousarray(lengths, float), nominal
+        measured, home = samples.T_base_platform.as_matrix(), nominal.home.as_matrix()
+        self.R_measured, self.t_measured = np.ascontiguousarray(measured[:, :3, :3]), np.ascontiguousarray(measured[:, :3, 3])
+        self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
+        self.covariance, self.common = (np.ascontiguousarray(part, float) for part in (samples.covariance, samples.common))
+
+    def fit(self, start, inliers, scatter):
+        """least_squares.Fit from parameters start (42,). inliers : (n,) bool; scatter : (6,) m"""
+        return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), np.full(42, PRIOR), inliers=inliers)
+
+    def linearise(self, p, scatter):
+        """least_squares.Linear at parameters p (42,). Raises RigError naming the first pose that has no solution there."""
+        right, J = np.empty((len(self.lengths), 6, 1 + self.common.shape[2])), np.zeros((len(self.lengths), 6, 42))
+        bad = closed_loop.rows(self.lengths, self.R, self.t, p, self.R_measured, self.t_measured, self.covariance, scatter**2, self.common,
+                               right, J)
+        if bad >= 0:
+            raise RigError(f"frame {self.samples.frame[bad]}: the commanded lengths {self.lengths[bad].round(6).tolist()} m close on no pose, "
+                           "or its covariance is none")
+        return Linear(right[..., 0], J, right[..., 1:])
+
+    def closure(self, found: Fit):
+        """(n, 6) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, 6, 6) m^2 from the poses'."""
+        T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
+        A = mechanism.jacobian(T, geometry)
+        left = self.lengths - mechanism.inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.common, found.shared)
+        return left, A @ self.covariance @ np.swapaxes(A, 1, 2)
 
 
 def loop_jacobian(T_base_platform, hexapod):
@@ -95,33 +134,6 @@ def pose_jacobian(T_base_platform, hexapod):
     delta_e = J_p delta_x; source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
     """
     return np.linalg.solve(mechanism.jacobian(T_base_platform, hexapod), loop_jacobian(T_base_platform, hexapod))
-
-
-def _linearise(samples, lengths, hexapod):
-    """Closure (n, 6) m, its Jacobian to the parameters (n, 6, 42), to the shared errors (n, 6, k), and its covariance."""
-    r = lengths - mechanism.inverse(samples.T_base_platform, hexapod)
-    A = mechanism.jacobian(samples.T_base_platform, hexapod)
-    return r, loop_jacobian(samples.T_base_platform, hexapod), A @ samples.common, A @ samples.covariance @ np.swapaxes(A, 1, 2)
-
-
-def _solve(r, D, B, S, inliers, found, nominal):
-    """Step (42,), shared errors (k,) and the parameters' covariance (42, 42)."""
-    W = np.linalg.inv(np.linalg.cholesky(S[inliers]))
-    M = (W @ np.concatenate([D, -B], axis=2)[inliers]).reshape(-1, D.shape[2] + B.shape[2])
-    right = -(W @ r[inliers][..., None]).ravel()
-    offset = np.concatenate([(getattr(found, name) - getattr(nominal, name)).ravel() for name in ("base_joints", "platform_joints", "strut_zeros")])
-    count = B.shape[2]
-    prior = np.diag(np.r_[np.full(42, 1 / PRIOR), np.ones(count)])
-    stacked = np.concatenate([M, prior])
-    Q, R = np.linalg.qr(stacked)
-    solution = np.linalg.solve(R, Q.T @ np.concatenate([right, np.r_[-offset / PRIOR, np.zeros(count)]]))
-    half = np.linalg.inv(R)
-    return solution[:42], solution[42:], (half @ half.T)[:42, :42]
-
-
-def _moved(hexapod, step):
-    return replace(hexapod, base_joints=hexapod.base_joints + step[:18].reshape(6, 3),
-                   platform_joints=hexapod.platform_joints + step[18:36].reshape(6, 3), strut_zeros=hexapod.strut_zeros + step[36:])
 
 
 def _scatter(left, S, inliers):

@@ -113,6 +113,24 @@ class Instrument:
     rotation_sigma: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuringLimbs:
+    """Six limbs beside the driving struts that measure their own length (sensors.csv, m1..m6, m) and carry nothing.
+
+    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame; length_sigma : m, of one reading
+    zeros : (6,) m, what a limb is longer than it reads
+    """
+
+    base_joints: np.ndarray
+    platform_joints: np.ndarray
+    length_sigma: float
+    zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
+
+    def __post_init__(self):
+        for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("zeros", (6,))):
+            _set(self, name, shape)
+
+
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """screw_lead (m per revolution) or None, joints ("cardan-cardan", "cardan-ball") or None, max_speed (m/s) or None."""
@@ -213,7 +231,8 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras."""
+    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
+    insitu : MeasuringLimbs or None."""
 
     name: str
     gravity: np.ndarray
@@ -224,6 +243,7 @@ class Design:
     cameras: tuple[Camera, ...]
     targets: tuple[Target, ...]
     sensor: Sensor = Sensor()
+    insitu: MeasuringLimbs | None = None
 
     def camera(self, name):
         """The camera of that name. Raises ValueError with the names there are."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker, Planar2,
-                        Platform, Sensor, Target)
+from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
+                        MeasuringLimbs, Planar2, Platform, Sensor, Target)
 from rig.errors import FileError
 from rig.pose import vector
 from rig.toml_positions import positions
@@ -38,14 +38,16 @@ def load(path):
 
 def _design(root):
     root.text("schema", (SCHEMA,))
-    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor"))
+    root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
+                          "insitu"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     return Design(
         name=root.text("name", default="rig"), gravity=gravity, mechanism=_mechanism(root.table("mechanism")),
         instrument=_instrument(root.table("instrument")) if "instrument" in root.tree else None,
         actuator=_actuator(root.table("actuator", optional=True)), platform=_platform(root.table("platform", optional=True)),
-        cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)))
+        cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)),
+        insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None)
 
 
 def _mechanism(table):
@@ -99,6 +101,12 @@ def _actuator(table):
 def _platform(table):
     return Platform(table.number("mass", None, least=0, unit="kg"),
                     table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
+
+
+def _limbs(table):
+    table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
+    joints = [table.array(name, (6, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints")]
+    return MeasuringLimbs(*joints, table.number("length_sigma", above=0, most=0.1, unit="m"))
 
 
 def _sensor(table):

@@ -8,6 +8,7 @@ from rig.errors import RigError
 from rig.pose import vector
 
 JOINT_PAIRS = (0.244, 0.733)  # rad, half the angle between the two joints of a pair on the base and on the platform
+LIMB_PAIRS = (0.35, 0.62)  # rad, the same of measuring limbs beside the struts
 PLATFORM_SHARE = 0.67  # of the base's radius
 HEIGHT_SHARE = 1.5  # home height over the base's radius
 STROKE_SHARE = 0.33  # of the base's radius
@@ -17,10 +18,11 @@ DISTANCE_SHARE = 4.4  # cameras from the middle of the rig, over the base's radi
 ELEVATION = 0.52  # rad above the middle of the rig
 
 
-def layout(radius, cameras=3, width=1280, height=1024, cubes=4, dictionary="DICT_5X5_100", name="hexapod"):
+def layout(radius, cameras=3, width=1280, height=1024, cubes=4, dictionary="DICT_5X5_100", name="hexapod", limbs=False):
     """Text of a rig.toml.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
+    limbs : whether six measuring limbs stand beside the struts
     cubes : how many on the base and as many on the platform, each face with an identity of its own
     Raises RigError where the dictionary has too few identities or the figures make no rig.
     """
@@ -43,6 +45,10 @@ def layout(radius, cameras=3, width=1280, height=1024, cubes=4, dictionary="DICT
              "[actuator]", "screw_lead = 0.004   # m per revolution", 'joints = "cardan-cardan"', f"max_speed = {0.17 * radius:.4g}   # m/s", "",
              "[platform]", f"mass = {450 * radius**3:.4g}   # kg", f"centre_of_mass = [0.0, 0.0, {0.07 * radius:.4g}]   # m, platform frame",
              f"payload_centre_of_mass = [0.0, 0.0, {0.4 * radius:.4g}]"]
+    if limbs:
+        lines += ["", "[insitu]", f"base_joints = {_rows(_joints(radius * 1.1, LIMB_PAIRS[0], 0.0))}   # m, base frame, limb 1..6",
+                  f"platform_joints = {_rows(_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], 0.0))}   # m, platform frame",
+                  "length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m6)"]
     lines += _cameras(radius, home, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
     number = 0

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig import machine
 from rig.plan import logged
+from rig.pose import transform_points
 from rig.recording import Corners, Sensors
 from rig.writing import write_corners, write_table, write_text
 from synthetic import world as worlds
@@ -15,6 +16,7 @@ from synthetic.occlusion import hidden
 from vision.predict import State, facing, inside, see
 from vision.targets import marker_map
 
+LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
 
 
@@ -39,7 +41,18 @@ def simulate(world, plan, rng):
     sensors, log = logged(plan, true), logged(plan, log)
     rolls = any(c.shutter == "rolling" for c in world.true.cameras) or any(e.name == "rolling_shutter" for e in world.effects)
     run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=rolls)
+    if world.true.insitu is not None:
+        log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     return Simulation(world, plan, sensors, log, run)
+
+
+def _with_limbs(log, t, T, limbs, rng):
+    """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
+    legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
+    read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=(len(t), 6))
+    rows = np.union1d(log.t, t)
+    channels = {name: np.interp(rows, log.t, values) for name, values in log.channels.items()}
+    return Sensors(rows, channels | {f"m{i + 1}": np.interp(rows, t, read[:, i]) for i in range(6)})
 
 
 def sight(simulation, steepest=STEEPEST):
@@ -96,8 +109,8 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None, sp
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
                  [f"{f},{t:.4f},{c.name}," + (f"images/{c.name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t) for c in cameras])
     log = simulation.log
-    write_table(out / "sensors.csv", ("t", *log.channels), [f"{t:.3f}," + ",".join(f"{values[i]:.3f}" for values in log.channels.values())
-                                                             for i, t in enumerate(log.t)])
+    write_table(out / "sensors.csv", ("t", *log.channels), [f"{t:.4f}," + ",".join(
+        f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
     if images is None:
         seen = corners(simulation, noise, rng)
         write_corners(out / "corners.csv", spoil(seen) if spoil else seen)

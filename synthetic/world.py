@@ -18,6 +18,7 @@ ZERO = 3e-4  # m, of a strut's zero
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose
 FOCAL, CENTRE = 4e-4, 1.0  # of the focal length; px
 DISTORTION = np.array([1e-3, 5e-3, 5e-5, 5e-5, 0.0])  # of k1 k2 p1 p2 k3
+LIMB = 2e-4  # m, of a measuring limb's joints and zero
 LOG_EVERY = 30.0  # s between rows of sensors.csv
 LOG_NOISE = 0.03  # K
 
@@ -43,7 +44,13 @@ def draw(stated, rng, size=1.0, effects=()):
                     strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
     else:
         raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; hexapod and planar2 can")
-    return World(stated, replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras)), tuple(effects))
+    true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
+    limbs = stated.insitu
+    if limbs is not None:
+        off = size * LIMB * rng.normal(size=42)
+        true = replace(true, insitu=replace(limbs, base_joints=limbs.base_joints + off[:18].reshape(6, 3),
+                                            platform_joints=limbs.platform_joints + off[18:36].reshape(6, 3), zeros=limbs.zeros + off[36:]))
+    return World(stated, true, tuple(effects))
 
 
 def _camera(camera, rng, size):
@@ -79,6 +86,8 @@ def write_truth(path, world, T_base_platform, **more):
                         for c in world.true.cameras], **more}
     if m.kind == "hexapod":
         tree["platform_joints"] = m.platform_joints.tolist()
+    if world.true.insitu is not None:
+        tree["insitu"] = {name: getattr(world.true.insitu, name).tolist() for name in ("base_joints", "platform_joints", "zeros")}
     write_text(path, json.dumps(tree) + "\n")
 
 
@@ -91,7 +100,11 @@ def from_truth(path, stated):
         known = {entry["name"]: entry for entry in tree["cameras"]}
         cameras = tuple(replace(c, matrix=known[c.name]["matrix"], distortion=known[c.name]["distortion"],
                                 pose=pose(known[c.name]["pose"][:3], known[c.name]["pose"][3:])) for c in stated.cameras)
-        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras), tuple(from_dict(entry) for entry in tree["effects"]))
+        limbs = stated.insitu
+        if limbs is not None and "insitu" in tree:
+            limbs = replace(limbs, **tree["insitu"])
+        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs),
+                     tuple(from_dict(entry) for entry in tree["effects"]))
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
     except json.JSONDecodeError as error:

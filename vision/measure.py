@@ -32,7 +32,7 @@ class Measurement:
     noise : px, standard deviation of a corner per axis; standing : px, the part of a corner's error that comes back in every
     frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners with that
     allowed for; factor : what stated covariances were multiplied by
-    adjustment : the last Adjustment, for its shared unknowns
+    adjustment : the last Adjustment, for its shared unknowns; used : the Observations it was fitted to
     """
 
     design: Design
@@ -49,6 +49,7 @@ class Measurement:
     weights: np.ndarray
     factor: float
     adjustment: Adjustment
+    used: Observations
 
     def ids(self):
         """Identity of each row of the marker map."""
@@ -79,7 +80,8 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     observations = replace(observations, covariance=scale**2 * observations.covariance)
     kept, good = _only(observations, solved), inliers[keep]
     weights, standing = _standing(kept, good, result.state)
-    result = adjust(replace(kept, covariance=weights).take(good), result.state, free)
+    used = replace(kept, covariance=weights).take(good)
+    result = adjust(used, result.state, free)
     numbers, common = observations.frames[solved], result.platform_common
     residuals = np.full((len(observations), 2), np.nan)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]
@@ -87,7 +89,7 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
                        result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
                        {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, inliers, residuals,
-                       float(noise), standing, weights, float(scale**2), result)
+                       float(noise), standing, weights, float(scale**2), result, used)
 
 
 def _filled(poses, count):

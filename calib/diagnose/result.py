@@ -22,7 +22,8 @@ KEPT = 0.3  # share of an effect's weight that it must keep beside what is unkno
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else; selection : Selection; proofs : [Proof], one for each finding;
+    """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
+    selection : Selection; proofs : [Proof], one for each finding;
     fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}"""
 
     recording: str

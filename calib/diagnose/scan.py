@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2, f as fisher
 
-SWALLOWED = 1e-7  # share of a direction's square that the freedoms must leave for it to count as seen
+SWALLOWED = 1e-6  # share of a direction's square that the freedoms must leave for it to count as seen
 CHUNK = 64  # shapes at a time
 PEAKS = 6  # frequencies that are looked at closely
 

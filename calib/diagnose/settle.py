@@ -14,6 +14,7 @@ MAX_ITERATIONS = 8
 SMALL = 0.02  # standard deviations; a step below settles a parameter
 HALVINGS = 8
 SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
+LOOSE = 3.0  # times the greatest usual size: what a number of a vector may be before anything is measured
 Z95 = 1.959964  # normal quantile of a 95 % interval
 
 
@@ -98,7 +99,9 @@ def admit(settled, score, signatures):
         step = np.r_[np.zeros(len(settled.coordinates)), 1.0]
     else:
         parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
-        step = _step(planes, parts)[0]
+        by = {p.name: p for p in score.family.kind.parameters}
+        loose = [_loose(by[name], index) if name in by else 0.0 for name, index, _ in score.family.linear]
+        step = _step(planes, parts, np.r_[_priors(settled.coordinates, k.effects), loose], np.r_[settled.values, np.zeros(len(loose))])[0]
         theta = step[len(settled.coordinates) :]
     effects = list(k.effects)
     for c, s in zip(settled.coordinates, step):
@@ -117,7 +120,8 @@ def settle(knowledge, signatures):
     planes = linearise(knowledge)
     coordinates, column = tangents(planes, signatures)
     for _ in range(MAX_ITERATIONS):
-        step, covariance = _step(planes, column)
+        priors, values = _priors(coordinates, knowledge.effects), [c.read(knowledge.effects[c.effect]) for c in coordinates]
+        step, covariance = _step(planes, column, priors, np.array(values))
         new, planes_new = _try(planes, coordinates, step, column)
         if new is None:
             break
@@ -126,8 +130,8 @@ def settle(knowledge, signatures):
         coordinates, column = tangents(planes, signatures)
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < SLACK:
             break
-    _, covariance = _step(planes, column)
     values = np.array([c.read(knowledge.effects[c.effect]) for c in coordinates])
+    _, covariance = _step(planes, column, _priors(coordinates, knowledge.effects), values)
     return Settled(knowledge, planes, coordinates, values, covariance, column)
 
 
@@ -176,16 +180,27 @@ def joined(parts, rows, local, frames):
     return Column(image, np.column_stack([part.struts for part in parts]), inner)
 
 
-def _step(planes, column):
-    """Step (c,) of the effects' coordinates and its covariance (c, c)."""
+def _step(planes, column, priors, values):
+    """Step (c,) of the effects' coordinates and its covariance (c, c). priors : (c,) 1 / standard deviation; values : (c,) now"""
     if column is None:
         return np.zeros(0), np.zeros((0, 0))
     _, b, G = planes.project(column)
+    b, G = b - priors**2 * values, G + np.diag(priors**2)
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
     values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
-    kept = values > 1e-9 * max(values[-1], 1e-300)
+    kept = values > 1e-11 * max(values[-1], 1e-300)
     half = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
     return half @ (half.T @ b), half @ half.T
+
+
+def _priors(coordinates, effects):
+    """(c,) 1 / standard deviation that coordinates are given beforehand: vectors have directions that nothing sees."""
+    by = [next(p for p in effects[c.effect].parameters if p.name == c.name) for c in coordinates]
+    return np.array([_loose(p, c.index) for p, c in zip(by, coordinates)])
+
+
+def _loose(parameter, index):
+    return 0.0 if index is None else 1 / (LOOSE * parameter.usual[1])
 
 
 def _try(planes, coordinates, step, column):

@@ -9,6 +9,7 @@ def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration.json; the report is written beside it")
+    parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
 
 
 def run(arguments):
@@ -27,6 +28,10 @@ def run(arguments):
 
     sampled = sample_recording(recording, progress=Progress())
     correction, found, held_out = certify(sampled.samples, recording.design.mechanism, np.random.default_rng(SEED))
+    if arguments.joint:
+        from calib.joint import refine
+
+        correction, found = refine(sampled, recording.design, correction, found)
     frames = sampled.samples.frame
     calibration = store.Calibration(
         correction, found.covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),

@@ -12,6 +12,7 @@ def arguments(parser):
     parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
     parser.add_argument("--dictionary", default="DICT_5X5_100")
+    parser.add_argument("--limbs", action="store_true", help="with six measuring limbs beside the struts")
     parser.add_argument("--name", default="hexapod")
     parser.add_argument("--out", metavar="FILE", type=Path, help="written here, or printed")
 
@@ -27,7 +28,8 @@ def run(arguments):
     size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
     if not size:
         raise RigError(f"--size takes for example 1280x1024, not {arguments.size!r}")
-    text = layout(arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name)
+    text = layout(arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name,
+                  arguments.limbs)
     if arguments.out is None:
         print(text, end="")
         return

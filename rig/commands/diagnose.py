@@ -38,13 +38,15 @@ def run(arguments):
         print("nothing is left out: the recording and the model agree within the noise")
     fit = tree["fit"]
     scale, unit = (1e6, "um") if fit["unit"] == "m" else (1, fit["unit"])
-    print(f"held out: {fit['heldout_before'] * scale:.4g} {unit} before, {fit['heldout_after'] * scale:.4g} after; noise {fit['noise_floor'] * scale:.4g}")
+    before, after, floor = (fit[name] * scale for name in ("heldout_before", "heldout_after", "noise_floor"))
+    print(f"held out: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
     print(f"written: {out / 'diagnosis.json'}")
 
 
 def _parameter(name, parameter):
     value, unit = parameter["value"], parameter["unit"]
     if not isinstance(value, float):
-        return f"{name} ({len(value)} numbers)" if value and isinstance(value[0], float) else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
+        numbers = value and isinstance(value[0], float)
+        return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
     low, high = parameter.get("ci95", (None, None))
     return f"{name} {value:.4g} {unit}" + (f" ({low:.4g} to {high:.4g})" if low is not None else "")

@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.bench import absent, forward, way
+from tests.bench import absent, forward, parameters, way
 
-ALL = {"way": way, "forward": forward, "absent": absent}
+ALL = {"way": way, "forward": forward, "absent": absent, "parameters": parameters}
 
 
 def main():

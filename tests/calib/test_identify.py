@@ -5,30 +5,46 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify import identify, loop_jacobian, pose_jacobian
+from calib.identify import identify, loop_jacobian, parameters, pose_jacobian, with_parameters
 from rig.errors import NotEnoughData
 from rig.mechanisms import hexapod
 from rig.pose import difference, exp
-from tests.calib.worlds import parameters, sampled
+from tests.calib.designs import worst_jacobian
+from tests.calib.worlds import sampled
 from tests.numeric import jacobian
-
-
-def moved(mechanism, p):
-    return replace(mechanism, base_joints=mechanism.base_joints + p[:18].reshape(6, 3),
-                   platform_joints=mechanism.platform_joints + p[18:36].reshape(6, 3), strut_zeros=mechanism.strut_zeros + p[36:])
 
 
 def test_loop_jacobian_agrees_with_differences(design):
     T = design.mechanism.home * exp(np.array([0.02, -0.03, 0.01, 0.1, -0.05, 0.2]))
-    numeric = jacobian(lambda p: -hexapod.inverse(T, moved(design.mechanism, p)), np.zeros(42))
+    numeric = jacobian(lambda p: -hexapod.inverse(T, with_parameters(design.mechanism, parameters(design.mechanism) + p)), np.zeros(42))
     np.testing.assert_allclose(loop_jacobian(T, design.mechanism), numeric, atol=1e-8)
 
 
 def test_pose_jacobian_agrees_with_differences(design):
     lengths = hexapod.inverse(design.mechanism.home, design.mechanism) + np.array([0.01, -0.01, 0.02, 0, 0.005, -0.02])
     T = hexapod.forward(lengths, design.mechanism)
-    numeric = jacobian(lambda p: difference(T, hexapod.forward(lengths, moved(design.mechanism, p))), np.zeros(42), 1e-5)
+    start = parameters(design.mechanism)
+    numeric = jacobian(lambda p: difference(T, hexapod.forward(lengths, with_parameters(design.mechanism, start + p))), np.zeros(42), 1e-5)
     np.testing.assert_allclose(pose_jacobian(T, design.mechanism), numeric, rtol=1e-5, atol=1e-5)
+
+
+def test_pose_jacobian_over_random_machines_and_poses():
+    assert worst_jacobian(60, seed=1) < 1e-7
+
+
+def test_compiled_kinematics_are_the_mechanism_s(design):
+    from calib import closed_loop
+
+    samples, true = sampled(design, 2, noisy=False)
+    home = design.mechanism.home.as_matrix()
+    R, t, e = home[:3, :3].copy(), home[:3, 3].copy(), np.empty(6)
+    for command, T in zip(samples.commanded, samples.T_base_platform.as_matrix()):
+        assert closed_loop.pose_of(command, parameters(true), R, t)
+        closed_loop.error(R, t, np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3]), e)
+        np.testing.assert_allclose(e, 0, atol=1e-11)
+    closed_loop.error(home[:3, :3], home[:3, 3], R, t, e)
+    T = design.mechanism.home * exp(np.zeros(6))
+    np.testing.assert_allclose(e, difference(T, samples.T_base_platform[-1]), atol=1e-10)
 
 
 def test_without_noise_the_machine_is_found(design):
@@ -85,3 +101,15 @@ def test_too_few_poses_are_refused(design):
     samples, _ = sampled(design, 1)
     with pytest.raises(NotEnoughData, match="6 poses cannot determine 42"):
         identify(samples.take(np.arange(6)), design.mechanism)
+
+
+@pytest.mark.slow
+def test_z_scores_of_five_hundred_runs(design):
+    """Along every combination that the poses determine: no bias, and scatter as claimed."""
+    along, z = None, []
+    for seed in range(500):
+        samples, true = sampled(design, seed, count=200)
+        found = identify(samples, design.mechanism)
+        along = np.linalg.svd(found.root)[2] if along is None else along
+        z.append(along @ (parameters(found.hexapod) - parameters(true)) / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along)))
+    assert np.abs(np.mean(z, axis=0)).max() < 0.15 and np.std(z) == pytest.approx(1, abs=0.05)

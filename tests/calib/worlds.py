@@ -14,18 +14,22 @@ OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
 COMMON = np.array([1e-5, 1e-5, 1e-5, 2e-5, 2e-5, 2e-5])
 
 
-def sampled(design, seed, count=120, deviation=None, noisy=True):
-    """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their geometry."""
+def sampled(design, seed, count=120, deviation=None, noisy=True, commands=None, own=None, noise_seed=None):
+    """(Samples, true Hexapod) of a machine; deviation(commands) -> (n, 6) m is what its struts do beyond their geometry.
+
+    commands : (count, 6) m, low-discrepancy ones by default; own : (6,) m, rad of a pose's noise, then nothing is shared"""
     rng = np.random.default_rng(seed)
     true = world.draw(design, rng).true.mechanism
-    commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed)
+    commands = plan.low_discrepancy(design.mechanism.strut_range, count, 0.9, seed) if commands is None else commands
+    common, own = (COMMON, OWN) if own is None else (np.zeros(6), own)
     effective = commands if deviation is None else commands + deviation(commands)
     T = hexapod.forward(effective, true)
+    rng = rng if noise_seed is None else np.random.default_rng(noise_seed)
     if noisy:
-        shared = COMMON * rng.normal(size=6)
-        T = T * exp(shared + OWN * rng.normal(size=(count, 6)))
-    samples = Samples(np.arange(count), np.arange(count) * 10.0, commands, T, np.tile(np.diag(OWN**2), (count, 1, 1)),
-                      np.tile(np.diag(COMMON), (count, 1, 1)))
+        shared = common * rng.normal(size=6)
+        T = T * exp(shared + own * rng.normal(size=(count, 6)))
+    samples = Samples(np.arange(count), np.arange(count) * 10.0, commands, T, np.tile(np.diag(own**2), (count, 1, 1)),
+                      np.tile(np.diag(common), (count, 1, 1)))
     return samples, true
 
 
@@ -45,9 +49,4 @@ def rms(errors):
     return np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()), np.sqrt((errors[:, 3:] ** 2).sum(axis=1).mean())
 
 
-def parameters(mechanism):
-    """(42,) joints and zeros in the order of calib.identify."""
-    return np.concatenate([mechanism.base_joints.ravel(), mechanism.platform_joints.ravel(), mechanism.strut_zeros])
-
-
-__all__ = ["sampled", "real", "workspace", "rms", "parameters", "difference", "replace"]
+__all__ = ["sampled", "real", "workspace", "rms", "difference", "replace"]

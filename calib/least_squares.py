@@ -1,0 +1,140 @@
+"""Weighted least squares over blocks of observations, in square-root information form: the engine behind every fit of parameters.
+
+A problem hands over whitened residuals and their derivatives, block by block (a block: a pose, a configuration of an arm). What
+all blocks share (the cameras' errors, say) is solved for beside the parameters and then marginalised. Source: Bierman,
+Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.stats import chi2
+
+from rig.errors import NotEnoughData, RigError
+
+MAX_ITERATIONS = 30
+CHUNK = 2048  # rows reduced at a time, so that the work stays in the cache
+SETTLED = 1e-5  # standard deviations; the length of the last step, all parameters together
+GATE = 1e-9  # share of honest blocks that lie beyond and are lost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """A problem at some parameters, whitened: its noise has unit covariance.
+
+    residual : (n, m) measured less predicted; jacobian : (n, m, k) of what is predicted with the parameters
+    common : (n, m, c) what one draw z ~ N(0, I), shared by all blocks, adds to the measured: residual = jacobian dp + common z + noise
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    common: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The optimum and what is known of it.
+
+    parameters : (k,); covariance : (k, k), prior included; shared : (c,) the draw that the blocks share
+    root : (k, k) upper triangular, square root of the information in the data alone: root.T @ root
+    residual : (n, m) whitened, shared errors taken out; inliers : (n,) bool; cost : of data, shared draw and prior
+    iterations : how many it took
+    """
+
+    parameters: np.ndarray
+    covariance: np.ndarray
+    shared: np.ndarray
+    root: np.ndarray
+    residual: np.ndarray
+    inliers: np.ndarray
+    cost: float
+    iterations: int
+
+
+def fit(linearise, start, mean, sigma, basis=None, inliers=None, robust=False):
+    """Gauss-Newton to the optimum.
+
+    linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where there is none
+    basis : (k, j) directions in which the parameters may move from the start (constraints hold the others), or None for all
+    inliers : (n,) bool blocks to use, or None for all; robust : whether blocks that disagree are sorted out, in rounds
+    Returns Fit. Raises NotEnoughData where the data and prior leave a direction open, RigError where the steps do not settle.
+    """
+    p, spans = np.array(start, float), np.eye(len(start)) if basis is None else np.asarray(basis, float)
+    mean, weight = np.asarray(mean, float), 1 / np.asarray(sigma, float)
+    linear = linearise(p)
+    inliers = np.ones(len(linear.residual), bool) if inliers is None else inliers
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        data = _triangle(linear, inliers, basis)
+        step, z, R, cost = _step(data, linear.common.shape[2], weight, mean - p, spans)
+        p = p + spans @ step
+        linear = linearise(p)
+        if np.linalg.norm(R @ step) > SETTLED:
+            continue
+        left = linear.residual - linear.common @ z
+        kept = _agreeing(left, inliers) if robust else inliers
+        if (kept == inliers).all():
+            half = solve_triangular(R, np.eye(len(R)))
+            c = linear.common.shape[2]
+            return Fit(p, spans @ half @ half.T @ spans.T, z, data[c:-1, c:-1] @ spans.T, left, inliers, cost, iteration)
+        inliers = kept
+    raise RigError(f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {np.linalg.norm(R @ step):.3g} sigma")
+
+
+def _triangle(linear, inliers, basis):
+    """(c + j + 1,) square upper triangle of [common, jacobian, residual], the shared draw's prior included."""
+    J = linear.jacobian if basis is None else linear.jacobian @ basis
+    rows = np.concatenate([linear.common, J, linear.residual[..., None]], axis=2)
+    c, width = linear.common.shape[2], rows.shape[2]
+    return _r(np.concatenate([rows[inliers].reshape(-1, width), np.eye(c, width)]), width)
+
+
+def _r(rows, width):
+    """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
+    if len(rows) > 2 * CHUNK:
+        rows = np.concatenate([np.linalg.qr(rows[at : at + CHUNK], mode="r") for at in range(0, len(rows), CHUNK)])
+    R = np.linalg.qr(rows, mode="r")
+    return R if len(R) == width else np.concatenate([R, np.zeros((width - len(R), width))])
+
+
+def _step(data, c, weight, to_mean, basis):
+    """Step (j,), shared draw (c,), square root (j, j) of the information with the prior, and the cost at the end of the step."""
+    held = np.isfinite(weight) & (weight > 0)
+    prior = np.concatenate([np.zeros((held.sum(), c)), weight[held, None] * basis[held], (weight * to_mean)[held, None]], axis=1)
+    R = _r(np.concatenate([data, prior]), data.shape[1])
+    root, right = R[c:-1, c:-1], R[c:-1, -1]
+    size = np.abs(np.diag(root))
+    if not size.min() > 1e-13 * size.max():
+        missing = int((size <= 1e-13 * size.max()).sum())
+        raise NotEnoughData(f"the observations leave {missing} of {len(size)} directions open, and no prior holds them")
+    step = solve_triangular(root, right)
+    z = solve_triangular(R[:c, :c], R[:c, -1] - R[:c, c:-1] @ step) if c else np.zeros(0)
+    return step, z, root, float(R[-1, -1] ** 2)
+
+
+def _agreeing(left, inliers):
+    """(n,) bool, the blocks whose residual (n, m) is no larger than the others' scale makes likely."""
+    square, m = (left**2).sum(axis=1), left.shape[1]
+    scale = max(1.0, float(np.median(square[inliers])) / chi2.ppf(0.5, m))
+    return square < scale * chi2.isf(GATE, m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visibility:
+    """What data tell of parameters, each measured in the size that it plausibly has.
+
+    singular : (j,) descending; 1 / singular is the standard error, in plausible sizes, along directions (j, k), a row each
+    condition : greatest over smallest; parameters : covariance-ordered permutation, the best determined first
+    """
+
+    singular: np.ndarray
+    directions: np.ndarray
+    condition: float
+    order: np.ndarray
+
+
+def visibility(root, size):
+    """Visibility of parameters from a square root of their information. root : (j, k); size : (k,) what each plausibly is."""
+    _, s, directions = np.linalg.svd(root * size, full_matrices=False)
+    order = qr(root * size, mode="r", pivoting=True)[1]
+    return Visibility(s, directions, float(s[0] / s[-1]) if s[-1] > 0 else np.inf, order)

@@ -1,0 +1,54 @@
+"""rig export calibration.json --format genhexkins|urdf|json|csv --out FILE."""
+
+import sys
+from pathlib import Path
+
+from rig.commands.output import fresh_file
+from rig.errors import RigError
+
+FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
+    parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="written here, or printed")
+    parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
+    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: screws turned by their cardans (screw_coupling)")
+    parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for --coupling")
+
+
+def run(arguments):
+    """Write or print the geometry."""
+    from rig.export import genhexkins, sheet, urdf
+    from rig.writing import write_text
+
+    mechanism, remainder = _machine(arguments.machine)
+    kinds = FORMATS[arguments.format]
+    if mechanism.kind not in kinds:
+        raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
+    out = fresh_file(arguments.out) if arguments.out else None
+    text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, arguments.lead, arguments.coupling),
+            "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: sheet.as_json(mechanism),
+            "csv": lambda: sheet.as_csv(mechanism)}[arguments.format]()
+    if remainder:
+        print(f"rig export: the calibration corrects axes {', '.join(map(str, remainder))} beyond the geometry; {arguments.format} cannot hold that, "
+              "use `rig correct` where it matters", file=sys.stderr)
+    if out is None:
+        print(text, end="")
+        return
+    write_text(out, text)
+    print(f"written: {out}")
+
+
+def _machine(path):
+    """(mechanism, numbers of the axes that are corrected beyond it) of a calibration.json or a rig.toml."""
+    if path.suffix == ".toml":
+        from rig import design_file
+
+        return design_file.load(path).mechanism, []
+    from calib import store
+
+    correction = store.load(path).correction
+    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None]

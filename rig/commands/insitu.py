@@ -1,0 +1,99 @@
+"""rig insitu REC --tolerance M RAD [--state FILE]."""
+
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_file, print_unsolved
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("recording", metavar="REC", type=Path, help="with columns m1..m6 (m) in sensors.csv and [insitu] in rig.toml")
+    parser.add_argument("--tolerance", nargs=2, type=float, default=(5e-5, 2e-4), metavar=("M", "RAD"),
+                        help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
+    parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
+    parser.add_argument("--check", type=int, default=20, metavar="N", help="with --state: vision checks every Nth pose (default 20)")
+
+
+def run(arguments):
+    """Hold the measuring limbs against vision, say whether they pass, and learn from them where they do."""
+    from rig import recording as recordings
+
+    if min(*arguments.tolerance, arguments.check) <= 0:
+        raise RigError("--tolerance and --check take positive numbers")
+    recording = recordings.load(arguments.recording)
+    state = fresh_file(arguments.state, recording.folder) if arguments.state else None
+
+    from calib import insitu
+    from calib.pipeline import sample_recording
+
+    nominal = insitu.stated(recording.design)
+    frames, lengths = insitu.readings(recording)
+    sampled = sample_recording(recording, progress=Progress())
+    samples, sigma = insitu.read(sampled.samples, frames, lengths), recording.design.insitu.length_sigma
+    T, expected = insitu.held_out(samples, nominal, sigma)
+    found = insitu.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
+    _print(found, sampled.source)
+    print_unsolved(sampled.measurement)
+    passed = bool(found.passed.all())
+    print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
+    if state is not None and passed:
+        limbs, _ = insitu.calibrated(samples, nominal, sigma)
+        return _learn(arguments, recording, limbs, frames, lengths, samples, state)
+    return 0 if passed else 1
+
+
+def _print(found, source):
+    from calib.insitu import AXES, MOVES
+
+    print(f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; um and urad:")
+    print(f"{'':4}{'bias':>9}{'scatter':>9}{'expected':>9}{'limits of agreement':>24}{'surely within':>15}{'tolerance':>11}{'moved over':>14}")
+    for i, axis in enumerate(AXES):
+        low, high = found.limits[:, i] * 1e6
+        moved = f"{found.moved[i] * 1e3:.1f} {'mm' if i < 3 else 'mrad'}"
+        said = "passes" if found.passed[i] else ("fails" if found.surely[i] > found.tolerance[i]
+                                                 else f"not shown: it must move over {MOVES:g} tolerances")
+        print(f"{axis:4}{found.bias[i] * 1e6:9.2f}{found.scatter[i] * 1e6:9.2f}{found.expected[i] * 1e6:9.2f}"
+              f"{f'{low:.2f} .. {high:.2f}':>24}{found.surely[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
+
+
+def _learn(arguments, recording, limbs, frames, lengths, samples, state):
+    """Learn the struts from the limbs' poses, vision checking every so often; the exit status."""
+    import numpy as np
+
+    from calib import insitu
+    from calib.identify import parameters
+    from calib.online import Online
+    from rig.commands.online import said
+
+    known, _, values = recording.commanded()
+    commands = values[np.searchsorted(known, frames)]
+    T = limbs.pose(lengths)
+    own, common = limbs.uncertainty(T)
+    if state.exists():
+        learner = Online.load(state)
+        learner.new_session(common.shape[2])
+        print(f"going on after {learner.number} poses")
+    else:
+        learner = Online(recording.design.mechanism, shared=common.shape[2])
+    first, checked = learner.number, 0
+    at = {frame: i for i, frame in enumerate(samples.frame.tolist())}
+    vision = samples.total_covariance()
+    for k, frame in enumerate(frames.tolist()):
+        if k % arguments.check == 0 and frame in at:
+            i, checked = at[frame], checked + 1
+            if not insitu.still_agrees(samples.T_base_platform[i], vision[i], T[k], own[k], common[k]):
+                learner.save(state)
+                print(f"frame {frame}: vision no longer agrees with the measuring limbs, nothing is learnt from here on; written: {state}")
+                return 1
+        update = learner.update(commands[k], T[k], own[k], common[k])
+        for change in update.changes:
+            print(f"frame {frame}: {said(change, frames[max(change.onset - first, 0)])}")
+        for number in update.dropped:
+            print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
+    learner.save(state)
+    moved = learner.p - parameters(learner.nominal)
+    print(f"{len(frames)} poses from the limbs learnt, vision agreed at all of {checked} checks; joints and zeros moved by "
+          f"{np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS, known to {np.sqrt(np.mean(np.diag(learner.covariance))) * 1e3:.4f} mm RMS")
+    print(f"written: {state}")
+    return 0

@@ -1,0 +1,88 @@
+"""rig online REC [--state FILE]."""
+
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_file, print_unsolved
+from rig.errors import RigError
+
+MANY = 6  # changes beyond which they are not believed to be steps
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
+
+
+def run(arguments):
+    """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
+    from rig import recording as recordings
+
+    recording = recordings.load(arguments.recording)
+    mechanism = recording.design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    state = fresh_file(arguments.state, recording.folder) if arguments.state else None
+
+    import numpy as np
+
+    from calib.identify import parameters
+    from calib.online import Online
+    from calib.pipeline import sample_recording
+
+    calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
+    goes_on = state is not None and state.exists()
+    learner = Online.load(state) if goes_on else None
+    sampled = sample_recording(recording, progress=Progress())
+    samples = sampled.samples
+    shared = samples.common.shape[2]
+    if goes_on:
+        learner.new_session(shared)
+        print(f"going on after {learner.number} poses")
+    elif calibration is not None:
+        learner = Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance)
+    else:
+        learner = Online(mechanism, shared)
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    updates = [learner.update(x, T, C, B) for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common)]
+    first = updates[0].number
+    for update in updates:
+        for change in update.changes:
+            print(f"frame {samples.frame[update.number - first]}: {said(change, samples.frame[max(change.onset - first, 0)])}")
+        for number in update.dropped:
+            print(f"frame {samples.frame[number - first]}: its pose agrees with no other and is left out")
+    count = sum(len(update.changes) for update in updates)
+    if count > MANY:
+        print(f"{count} changes in {len(samples)} poses are no few steps: something acts on the struts or the measurement that the geometry lacks")
+    innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
+    moved = learner.p - parameters(mechanism)
+    sigma = np.sqrt(np.diag(learner.covariance))
+    print(f"{len(samples)} poses from {sampled.source}, one at a time: innovations are {innovation:.3f} of what was expected "
+          "(1 where nothing is left out)")
+    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml, each known to "
+          f"{np.sqrt(np.mean(sigma**2)) * 1e3:.4f} mm RMS")
+    print_unsolved(sampled.measurement)
+    if state is not None:
+        learner.save(state)
+        print(f"written: {state}")
+
+
+def _calibration(path, mechanism):
+    """Calibration of a hexapod. Raises RigError for another mechanism's."""
+    from calib import store
+
+    found = store.load(path)
+    if found.correction.fitted.kind != mechanism.kind:
+        raise RigError(f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the recording's is {mechanism.kind!r}")
+    return found
+
+
+def said(change, frame):
+    """A Change in words; frame : number of the first frame after it."""
+    if change.kind == "frame":
+        position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
+        return (f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad: "
+                "a camera or the base was knocked")
+    cause = "missed steps or a slipped joint" if change.kind == "strut" else "a knocked joint, the amount differs from pose to pose"
+    return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm: {cause}"

@@ -1,0 +1,30 @@
+"""A geometry as JSON or CSV: every figure in m and rad, to the last bit (JSON) or to a picometre (CSV)."""
+
+import json
+
+from rig.pose import vector
+
+HEXAPOD = ("strut", "base_x", "base_y", "base_z", "platform_x", "platform_y", "platform_z", "zero", "shortest", "longest")
+ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest")
+
+
+def as_json(mechanism):
+    """JSON of a Hexapod or an Arm."""
+    if mechanism.kind == "hexapod":
+        position, rotvec = vector(mechanism.home)[:3], vector(mechanism.home)[3:]
+        tree = {name: getattr(mechanism, name).tolist() for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")}
+        tree["home"] = {"position": position.tolist(), "rotvec": rotvec.tolist()}
+    else:
+        tree = {"joints": mechanism.joints.tolist(), "limits": mechanism.limits.tolist()}
+        tree |= {name: vector(getattr(mechanism, name)).tolist() for name in ("base", "tool") if hasattr(mechanism, name)}
+    return json.dumps({"schema": "geometry/1", "kind": mechanism.kind, "units": "m, rad", **tree}, indent=1) + "\n"
+
+
+def as_csv(mechanism):
+    """CSV of a Hexapod, a row per strut, or of an Arm, a row per joint."""
+    if mechanism.kind == "hexapod":
+        header, parts = HEXAPOD, zip(mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range)
+    else:
+        header, parts = ARM, (([*row, 0.0][:5], limits) for row, limits in zip(mechanism.joints, mechanism.limits))
+    rows = [",".join([str(i + 1), *(f"{value:.12f}" for part in row for value in part)]) for i, row in enumerate(parts)]
+    return "\n".join([",".join(header), *rows]) + "\n"

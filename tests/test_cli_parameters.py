@@ -1,0 +1,90 @@
+"""The command line around parameters: plans, exports, poses one at a time, measuring limbs."""
+
+import pytest
+
+from rig import table
+from rig.cli import main
+
+
+@pytest.fixture
+def rig_file(tmp_path, rig_text):
+    path = tmp_path / "rig.toml"
+    path.write_text(rig_text)
+    return path
+
+
+def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsys):
+    out = tmp_path / "plan.csv"
+    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "10", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
+    assert len(table.read(out, ("frame", "l1"))) == 10
+    assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
+    again = tmp_path / "more.csv"
+    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "6", "--given", str(tmp_path / "rec"), "--out", str(again)]) == 0
+    assert "beside 10 given" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments, says", [
+    (["--count", "0"], "positive"), (["--count", "3"], "3 configurations cannot determine"), (["--given", "typo.csv"], "typo.csv: no such file"),
+])
+def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
+    assert main(["plan", str(rig_file), "--for", "parameters", "--out", str(tmp_path / "p.csv"), *arguments]) == 1
+    assert says in capsys.readouterr().err and not (tmp_path / "p.csv").exists()
+
+
+def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
+    effect = "missed_steps:strut3:jump=9e-5,time=400"
+    assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec")]) == 0
+    times = table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
+    first = int(times.numbers("frame")[times.numbers("t") > 400][0])
+    state = tmp_path / "state.json"
+    capsys.readouterr()
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
+    said = capsys.readouterr().out
+    assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
+    assert "going on after 110 poses" in capsys.readouterr().out
+    state.write_text("{")
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
+    assert "cut off" in capsys.readouterr().err
+
+
+def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
+    out = tmp_path / "machine.hal"
+    assert main(["export", str(rig_file), "--format", "genhexkins", "--out", str(out)]) == 0
+    assert "setp genhexkins.base.0.x 291.1" in out.read_text() and "setp offset.5.offset" in out.read_text()
+    assert main(["export", str(rig_file), "--format", "csv"]) == 0
+    assert "strut,base_x" in capsys.readouterr().out
+    assert main(["export", str(rig_file), "--format", "urdf"]) == 1
+    assert "kind 'hexapod'" in capsys.readouterr().err
+    assert main(["export", str(tmp_path / "typo.json"), "--format", "json"]) == 1
+    assert "typo.json: no such file" in capsys.readouterr().err
+
+
+def test_measuring_limbs_pass_and_teach(tmp_path, capsys):
+    rig, rec, state = tmp_path / "rig.toml", tmp_path / "rec", tmp_path / "state.json"
+    assert main(["design", "--radius", "0.3", "--limbs", "--out", str(rig)]) == 0
+    assert main(["simulate", str(rig), "--plan", "axes:5,sobol:40", "--out", str(rec)]) == 0
+    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4"]) == 0
+    said = capsys.readouterr().out
+    assert "the measuring limbs pass" in said and "70 poses from the limbs learnt, vision agreed at all of 4 checks" in said and state.exists()
+    assert main(["insitu", str(rec), "--tolerance", "5e-6", "1e-5"]) == 1
+    assert "the measuring limbs do not pass" in capsys.readouterr().out
+
+
+def test_a_rig_without_limbs_says_so(rig_file, tmp_path, capsys):
+    assert main(["simulate", str(rig_file), "--plan", "sobol:3", "--out", str(tmp_path / "rec")]) == 0
+    assert main(["insitu", str(tmp_path / "rec")]) == 1
+    assert "no [insitu] table" in capsys.readouterr().err
+
+
+def test_learning_goes_on_from_a_calibration(rig_file, tmp_path, capsys):
+    for name, effect in (("before", []), ("after", ["--effect", "missed_steps:strut5:jump=-9e-5,time=0.5"])):
+        assert main(["simulate", str(rig_file), "--plan", "sobol:40", *effect, "--out", str(tmp_path / name)]) == 0
+    assert main(["calibrate", str(tmp_path / "before"), "--out", str(tmp_path / "c.json")]) == 0
+    capsys.readouterr()
+    assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "c.json")]) == 0
+    said = capsys.readouterr().out
+    assert "frame 1: from frame 0 on strut 5 is longer by -0.0" in said and said.count("longer") == 1
+    assert main(["online", str(tmp_path / "after"), "--calibration", str(tmp_path / "typo.json")]) == 1
