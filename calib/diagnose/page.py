@@ -12,6 +12,7 @@ from calib.diagnose.telltale import over_time, residual_map, residuals, telltale
 from calib.report import page, table
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
+FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
 LONG = 4  # numbers of a vector that are written out
 
 
@@ -33,8 +34,10 @@ def diagnosis_page(path, recording, diagnosis):
 
 def _verdict(tree, named):
     worst = tree["unexplained"]
-    left = "" if worst is None else (f"something at {worst['place']} that nothing in the catalogue explains, {_number(worst['magnitude'], worst['unit'])}"
-                                     + (f", going with {' and '.join(worst['depends_on'])}" if worst["depends_on"] else ""))
+    left = ""
+    if worst is not None:
+        left = f"something at {worst['place']} that nothing in the catalogue explains, {_number(worst['magnitude'], worst['unit'])}"
+        left += f", going with {' and '.join(worst['depends_on'])}" if worst["depends_on"] else ""
     if not named:
         text = f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise."
         return html.escape(text)
@@ -131,7 +134,7 @@ def _remaining(diagnosis, tree):
     k = settled.knowledge
     struts, corners = residuals(settled)
     unknown = [f for f in tree["findings"] if f["effect"] == "unknown"]
-    parts = [_levels(diagnosis, struts, corners)]
+    parts = [_levels(diagnosis, struts)]
     if not unknown:
         return [*parts, "<p>What remains looks like noise: no dependence on pose, time, history, image position or a logged channel was found.</p>"]
     rows = [(f["place"], _number(f["parameters"]["magnitude"]["value"], f["parameters"]["magnitude"]["unit"]),
@@ -148,11 +151,11 @@ def _remaining(diagnosis, tree):
     return parts
 
 
-def _levels(diagnosis, struts, corners):
+def _levels(diagnosis, struts):
     """Figure of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
     settled, before = diagnosis.selection.settled, diagnosis.selection.before
     k = settled.knowledge
-    bare, bare_corners = residuals(type(settled)(before.knowledge, before, [], np.zeros(0), np.zeros((0, 0)), None))
+    bare, _ = residuals(type(settled)(before.knowledge, before, [], np.zeros(0), np.zeros((0, 0)), None))
     rows = []
     if k.axes:
         inverse = np.linalg.inv(settled.planes.W)
@@ -163,7 +166,8 @@ def _levels(diagnosis, struts, corners):
         o = k.seen.observations
         present = np.unique(o.camera)
         sigma = settled.planes.sigma * np.sqrt(np.median(np.einsum("nii->n", o.covariance)) / 2)
-        rms = [np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in (bare_corners, corners)]
+        off = [np.clip(o.uv - at.pixels(), -FAR * sigma, FAR * sigma) for at in (before.knowledge, k)]
+        rms = [np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in off]
         rows.append(([k.design.cameras[i].name for i in present], *rms, np.full(len(present), sigma), "px"))
     figure = Figure(figsize=(11, 2.8), layout="constrained")
     for axes, (labels, first, last, noise, unit) in zip(figure.subplots(1, max(len(rows), 1), squeeze=False)[0], rows):

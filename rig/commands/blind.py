@@ -51,7 +51,7 @@ def run(arguments):
         for _ in _each(pool, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
             pass
         waiting = [i for i in indices if arguments.again or not _done(out, i)]
-        for index, seconds, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
+        for index, _, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
             if error:
                 print(f"trial {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
     finally:
@@ -141,8 +141,8 @@ def _diagnosed(out, index):
     (target / "diagnosis.json").unlink(missing_ok=True)
     record.unlink(missing_ok=True)
     start = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", DIAGNOSE, str(out / "truth"), "diagnose", str(out / "recordings" / f"{index:04d}"), "--out", str(target)],
-                          capture_output=True, text=True, env={**os.environ, **ONE_THREAD})
+    command = [sys.executable, "-c", DIAGNOSE, out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **ONE_THREAD})
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
         return index, seconds, "stopped; it will be diagnosed when the season goes on"
@@ -203,7 +203,8 @@ def _report(out, settings, cases, score):
     season_page(out / "score.html", settings, cases)
     for f in score.figures(cases):
         goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
-        print(f"{f.name:42}" + (f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})" if f.trials else "   none"))
+        found = f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})" if f.trials else "   none"
+        print(f"{f.name:42}{found}")
     for name, value in score.medians(cases).items():
         print(f"median {name:35}{value:10.3g}")
     print(f"written: {out / 'score.json'} and {out / 'score.html'}")

@@ -36,8 +36,8 @@ def outcome(case, hidden):
 def season_page(path, settings, cases):
     """Write the page of a season: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
     said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
-    parts = [f"<p>{len(cases)} sealed trials ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
-             f"have taken what they can; an effect counts as strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %.</p>",
+    parts = [f"<p>{len(cases)} sealed trials ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and "
+             f"geometry have taken what they can; an effect is strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %.</p>",
              table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in score.figures(cases)]),
              table(("median", ""), [(name, f"{value:.3g}") for name, value in score.medians(cases).items()]),
              "<h2>By effect</h2><p class=note>Strong ones, in trials with one or two.</p>", _grouped(score.by_effect(cases), "effect"),

@@ -67,7 +67,8 @@ def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
 def test_rivals_and_what_was_not_asked_are_listed(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
     tree = result.to_dict(diagnosis)
-    tree["findings"][0]["cannot_be_told_from"] = [{"effect": "hysteresis", "place": "strut 3", "delta_bic": 1.25, "cosine": 0.999, "experiment": "a <ladder>"}]
+    rival = {"effect": "hysteresis", "place": "strut 3", "delta_bic": 1.25, "cosine": 0.999, "experiment": "a <ladder>"}
+    tree["findings"][0]["cannot_be_told_from"] = [rival]
     tree["not_asked"] = [{"effect": "thermal_expansion", "reason": "no channel"}]
     monkeypatch.setattr("calib.diagnose.page.to_dict", lambda d: tree)
     diagnosis_page(tmp_path / "page.html", found, diagnosis)
@@ -86,12 +87,13 @@ def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     assert np.sqrt((corners**2).mean()) == pytest.approx(0.03, rel=0.1)  # px
 
 
-@pytest.mark.parametrize("text", ["compliance:rig:stiffness=3e6", "screw_coupling:rig:gain=0.9", "vibration:rig:amplitude=5e-5,frequency=3.3",
-                                  "time_offset:clock:offset=0.03", "creep:rig:fraction=0.01,time_constant=5", "warm_up:strut2:amplitude=1e-4",
-                                  "cyclic_error:strut4:amplitude=3e-5", "thermal_expansion:rig:coefficient=2e-5", "base_expansion:rig:coefficient=1e-4",
-                                  "clock_drift:clock:rate=1e-4", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100", "focal_drift:cameras:per_kelvin=4e-4",
-                                  "edge_bias:cameras:bias=0.2", "print_scale:markers:scale=3e-3", "rolling_shutter:cam0:row_time=3e-5",
-                                  "refraction:cam1:thickness=2e-2", "face_misplacement:4:offset=5e-4/0/0", "cube_misplacement:P2:motion=5e-4/0/0/0/0/0"])
+@pytest.mark.parametrize("text", [
+    "compliance:rig:stiffness=3e6", "screw_coupling:rig:gain=0.9", "vibration:rig:amplitude=5e-5,frequency=3.3",
+    "time_offset:clock:offset=0.03", "creep:rig:fraction=0.01,time_constant=5", "warm_up:strut2:amplitude=1e-4",
+    "cyclic_error:strut4:amplitude=3e-5", "thermal_expansion:rig:coefficient=2e-5", "base_expansion:rig:coefficient=1e-4",
+    "clock_drift:clock:rate=1e-4", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100", "focal_drift:cameras:per_kelvin=4e-4",
+    "edge_bias:cameras:bias=0.2", "print_scale:markers:scale=3e-3", "rolling_shutter:cam0:row_time=3e-5", "refraction:cam1:thickness=2e-2",
+    "face_misplacement:4:offset=5e-4/0/0", "cube_misplacement:P2:motion=5e-4/0/0/0/0/0"])
 def test_every_tell_tale_can_be_drawn(text, diagnosed):
     _, diagnosis = diagnosed
     settled = diagnosis.selection.settled

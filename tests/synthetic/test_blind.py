@@ -97,7 +97,8 @@ def perfect(out, index):
     findings = []
     for e in tree["effects"]:
         known = e["effect"] in BY_NAME
-        parameters = {n: {"value": v, "unit": "", "ci95": [(np.array(v) - 1).tolist(), (np.array(v) + 1).tolist()]} for n, v in e["parameters"].items()}
+        parameters = {n: {"value": v, "unit": "", "ci95": [(np.array(v) - 1).tolist(), (np.array(v) + 1).tolist()]}
+                      for n, v in e["parameters"].items()}
         findings.append({"effect": e["effect"] if known else "unknown", "place": e["place"], "parameters": parameters if known else {},
                          "cannot_be_told_from": []})
     folder = command.Path(out) / "diagnoses" / f"{index:04d}"
@@ -211,7 +212,8 @@ def test_a_scheduler_without_dask_is_said(monkeypatch):
 
 @pytest.mark.slow
 def test_a_season_end_to_end(tmp_path):
-    assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps", "--out", str(tmp_path / "s")]) == 0
+    assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps",
+                     "--out", str(tmp_path / "s")]) == 0
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     strong = [h["outcome"] for t in tree["trials"] for h in t["hidden"] if h["strength"] > 15]
     assert len(tree["trials"]) == 3 and all(outcome == "named and placed" for outcome in strong)
