@@ -17,12 +17,14 @@ GAIN = 2.0  # standard errors by which the remainder must pay on held-out poses 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,)."""
+    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,);
+    mean : of the length in position (m) and rotation (rad)."""
 
     n: int
     position: tuple[float, float, float]
     rotation: tuple[float, float, float]
     bias: tuple[float, ...]
+    mean: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +42,13 @@ class HeldOut:
 
 
 def figures(errors):
-    """Figures of pose errors (n, 6), position (m) and rotation (rad)."""
+    """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
     def three(parts):
         length = np.linalg.norm(parts, axis=1)
         return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
 
-    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()))
+    mean = tuple(float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
+    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
 
 
 def compare(errors_before, errors_after, covariance, rng):
@@ -75,9 +78,13 @@ def model_covariance(calibration, T_base_platform):
 
 
 def errors_of(correction, samples):
-    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's."""
+    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
+    rotation was not measured."""
     nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    return difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    for one in errors:
+        one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
+    return errors
 
 
 def certify(samples, nominal, rng):
@@ -93,7 +100,7 @@ def certify(samples, nominal, rng):
         precision = np.linalg.inv(samples.total_covariance())
         gain = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
         gain = gain[0] - gain[1]
-        if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / _correlation(gain)):
+        if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)):
             return correction, found, compare(before, corrected, samples.total_covariance(), rng)
         correction, found = calibrate(samples, nominal, "none")
     return correction, found, compare(before, plain, samples.total_covariance(), rng)
@@ -108,7 +115,7 @@ def _held_out(samples, nominal, remainder):
     return before, after
 
 
-def _correlation(series):
+def correlation(series):
     """How many neighbours in time say the same: 1 + 2 x the sum of the autocorrelations before they first turn negative."""
     centred = series - series.mean()
     total = (centred**2).sum()

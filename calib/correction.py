@@ -42,6 +42,10 @@ class Correction:
         """KSF (..., axes) m at commands (..., axes): commanded less what the owner's model says for the pose it gives."""
         return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
 
+    def uncorrected(self, T_base_platform):
+        """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
+        return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
+
     def inverse(self, T_base_platform):
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m; limits are for `reachable` to check.
 
@@ -60,14 +64,15 @@ class Correction:
 
 
 def reachable(commands, mechanism, labels):
-    """Raise Unreachable, listing every pose whose commands (n, axes) m leave the mechanism's range. labels : n texts."""
+    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
+    name, scale, unit = ("joint", np.degrees(1.0), "degrees") if mechanism.kind == "arm" else ("strut", 1e3, "mm")
     beyond = mechanisms.of(mechanism).limits(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):
         return
     lines = []
     for i in bad:
-        axes = [f"strut {j + 1} at {commands[i, j] * 1e3:.3f} mm, {abs(beyond[i, j]) * 1e3:.3f} mm "
+        axes = [f"{name} {j + 1} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
                 f"{'below' if beyond[i, j] < 0 else 'above'} its range" for j in np.flatnonzero(beyond[i])]
         lines.append(f"{labels[i]}: " + "; ".join(axes))
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)

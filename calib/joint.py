@@ -110,7 +110,7 @@ def commanded_state(measured, samples):
 
     measured : vision Measurement; samples : Samples of it
     """
-    used = measured.used
+    used = measured.used()
     keep = np.isin(used.frames, samples.frame)
     rows = keep[used.frame]
     kept = replace(used.take(rows), frames=used.frames[keep], frame=(np.cumsum(keep) - 1)[used.frame[rows]])

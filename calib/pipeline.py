@@ -43,11 +43,15 @@ def sample_recording(recording, free=("poses", "lenses"), progress=None):
 
 def _from_poses(recording):
     instrument, poses = recording.design.instrument, recording.poses
-    if instrument is not None and "free" in (instrument.base, instrument.tool):
-        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") cannot be solved for yet; "
-                       "state its poses in the rig's own frames")
+    kind = recording.design.mechanism.kind
+    if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
+        raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") is solved for with arms, not with a "
+                       f"mechanism of kind {kind!r}; state its poses in the rig's own frames")
+    if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
+        raise RigError(f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, not a mechanism of "
+                       f"kind {kind!r}")
     covariance = poses.covariance
     if covariance is None:
-        position, rotation = (instrument.position_sigma, instrument.rotation_sigma) if instrument is not None else UNSTATED
+        position, rotation = (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
         covariance = np.broadcast_to(np.diag([position**2] * 3 + [rotation**2] * 3), (len(poses.frame), 6, 6))
     return samples(recording, poses.frame, poses.T_base_platform, covariance)

@@ -40,8 +40,11 @@ def _picture(figure):
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
 
 
-def measurement_page(path, recording, measurement, collected):
-    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames."""
+def measurement_page(path, recording, measurement, collected, places=None, statement=()):
+    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
+
+    places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording determines
+    """
     m = measurement
     total = len(recording.exposures.times()[0])
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
@@ -51,8 +54,13 @@ def measurement_page(path, recording, measurement, collected):
              f"{np.sqrt((position**2).mean()) * 1e6:.1f} &micro;m and {np.sqrt((rotation**2).mean()) * 1e6:.1f} &micro;rad "
              "(RMS standard uncertainty of its length, cameras' own uncertainty included).</p>",
              "<h2>What the cameras leave over</h2><p class=note>Mean residual over patches of the image, drawn enlarged; a pattern here is a lens "
-             "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", _coverage(vector(m.T_base_platform)),
+             "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", coverage(vector(m.T_base_platform)),
              "<h2>How well each pose is known</h2>", _uncertainty(m, position, rotation), "<h2>Cameras</h2>", _cameras(recording, m)]
+    if statement:
+        parts += ["<h2>What this recording determines</h2><ul>", *(f"<li>{html.escape(line)}</li>" for line in statement), "</ul>"]
+    if places is not None:
+        parts += ["<h2>Where the markers really are</h2><p class=note>From their stated places, along their own x (right), y (up), z (out), with "
+                  "95 % intervals. The stated places, taken together, hold the frames.</p>", _moves(places), _residuals(places)]
     worst = _worst_markers(m)
     if worst:
         parts += ["<h2>Markers that disagree</h2><p class=note>Share of a marker's corners set aside: a face askew, a wrong print, a covered "
@@ -90,7 +98,8 @@ def _residual_maps(m):
     return figure
 
 
-def _coverage(vectors):
+def coverage(vectors):
+    """Figure of where poses lie: vectors (n, 6) position (m) and rotation vector (rad)."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
     for a, (i, j) in zip(axes[:2], ((0, 1), (0, 2))):
@@ -114,7 +123,7 @@ def _uncertainty(m, position, rotation):
 
 
 def _cameras(recording, m):
-    sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance) * m.factor)))
+    sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance))))
     rows = []
     for stated, found in zip(recording.design.cameras, m.design.cameras):
         moved = vector(stated.pose.inv() * found.pose)
@@ -122,6 +131,22 @@ def _cameras(recording, m):
                      *(f"{value:.3f} ± {2 * sigma.get((found.name, term), 0):.3f}" for term, value in
                        (("fx", found.matrix[0, 0]), ("fy", found.matrix[1, 1]), ("cx", found.matrix[0, 2]), ("cy", found.matrix[1, 2])))))
     return table(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
+
+
+def _moves(places):
+    rows = [(move.name, "yes" if move.moved else "no", *(f"{by * 1e3:+.3f} ± {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)))
+            for move in places.moves]
+    return table(("marker", "moved", "x, mm", "y, mm", "z, mm", "rx, mrad", "ry, mrad", "rz, mrad"), rows)
+
+
+def _residuals(places):
+    figure = Figure(figsize=(11, 2.8), layout="constrained")
+    axes = figure.subplots()
+    axes.semilogy(places.frames, places.before, ".", ms=4, label="places as stated")
+    axes.semilogy(places.frames, places.after, ".", ms=4, label="as adjusted")
+    axes.set(xlabel="frame", ylabel="platform's corners, RMS px")
+    axes.legend(fontsize=8)
+    return figure
 
 
 def _worst_markers(m):
@@ -150,8 +175,8 @@ def calibration_page(path, recording, calibration, samples, found):
              "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
-             _coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
-             "<h2>Where this came from</h2>", table(("what", "value"), _flat(calibration.provenance))]
+             coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
+             "<h2>Where this came from</h2>", table(("what", "value"), flat(calibration.provenance))]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
@@ -208,9 +233,10 @@ def _parameters(calibration):
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
 
-def _flat(tree, prefix=""):
+def flat(tree, prefix=""):
+    """Rows (name, value) of a nested dict, for a table."""
     rows = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        rows += _flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
+        rows += flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]
     return rows

@@ -14,7 +14,8 @@ class Samples:
 
     frame : (n,) numbers; t : (n,) s; commanded : (n, axes) m or rad
     T_base_platform : RigidTransform (n,), measured (GDK of the commanded configuration)
-    covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out
+    covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out; diagonal and
+    infinite for rotations that were not measured
     common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses
     """
 

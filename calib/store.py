@@ -11,10 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.arms.correction import ArmCorrection
+from calib.arms.model import names
+from calib.arms.profile import Profile
 from calib.certificate import Figures, HeldOut
 from calib.correction import Correction
 from calib.interpolate.radial import Radial
-from rig.design import Hexapod
+from rig.design import Arm, Hexapod
 from rig.errors import FileError
 from rig.pose import pose, vector
 from rig.writing import write_text
@@ -23,13 +26,18 @@ SCHEMA = "calibration/1"
 UNITS = "m, rad, s; covariances in their products"
 FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
           "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
+ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
+              "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
+              "a joint turns to q - remainder(q); tangents x y z rx ry rz on the right")
+PARAMETERS = "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """correction : Correction; covariance : (42, 42) m^2 of the fitted parameters; scatter : (6,) m of each strut beyond the
-    poses' noise; frames : numbers of the frames fitted; left_out : of those that did not agree; held_out : HeldOut
+    """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an arm
+    (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
+    (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree; held_out : HeldOut
     provenance : what went in, by which versions and arguments"""
 
     correction: Correction
@@ -63,14 +71,16 @@ def _hash(paths):
 def save(path, calibration):
     """Write a calibration.json, whole or not at all."""
     correction = calibration.correction
+    arm = correction.nominal.kind == "arm"
     tree = {
-        "schema": SCHEMA, "units": UNITS, "frames": FRAMES,
-        "nominal": _hexapod_out(correction.nominal), "fitted": _hexapod_out(correction.fitted),
-        "parameter_order": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
-        "parameter_covariance": calibration.covariance.tolist(), "strut_scatter": calibration.scatter.tolist(),
-        "remainder": [None if part is None else _radial_out(part) for part in correction.remainder],
+        "schema": SCHEMA, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
+        "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
+        "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS,
+        "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
+        "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
+        **({"visited": correction.visited.tolist()} if arm else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": asdict(calibration.held_out), "provenance": calibration.provenance,
+        "held_out": nulls(asdict(calibration.held_out)), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -89,11 +99,14 @@ def load(path):
         found = tree.get("schema") if isinstance(tree, dict) else type(tree).__name__
         raise FileError(path, f'is no calibration: its schema is {found!r}, not "{SCHEMA}"')
     try:
-        correction = Correction(_hexapod_in(tree["nominal"]), _hexapod_in(tree["fitted"]),
-                                tuple(None if part is None else _radial_in(part) for part in tree["remainder"]))
+        nominal, fitted = mechanism_in(tree["nominal"]), mechanism_in(tree["fitted"])
+        arm = nominal.kind == "arm"
+        parts = tuple(None if part is None else _part_in(part, Profile if arm else Radial) for part in tree["remainder"])
+        correction = ArmCorrection(nominal, fitted, parts, np.array(tree["visited"], float)) if arm else Correction(nominal, fitted, parts)
         held = tree["held_out"]
-        held_out = HeldOut(_figures_in(held["before"]), _figures_in(held["after"]), tuple(held["floor"]), tuple(held["ratio"]))
-        return Calibration(correction, np.array(tree["parameter_covariance"], float), np.array(tree["strut_scatter"], float),
+        held_out = HeldOut(_figures_in(held["before"]), _figures_in(held["after"]), _numbers_in(held["floor"]), tuple(held["ratio"]))
+        scatter = np.array(tree["pose_scatter" if arm else "strut_scatter"], float)
+        return Calibration(correction, np.array(tree["parameter_covariance"], float), scatter,
                            tuple(tree["fit"]["frames"]), tuple(tree["fit"]["left_out"]), held_out, tree["provenance"])
     except KeyError as error:
         raise FileError(path, f"is incomplete: {error} is missing") from None
@@ -101,26 +114,52 @@ def load(path):
         raise FileError(path, f"holds a value of the wrong kind: {error}") from None
 
 
-def _hexapod_out(hexapod):
-    position, rotvec = np.split(vector(hexapod.home), 2)
-    return {"kind": hexapod.kind, "base_joints": hexapod.base_joints.tolist(), "platform_joints": hexapod.platform_joints.tolist(),
-            "strut_range": hexapod.strut_range.tolist(), "strut_zeros": hexapod.strut_zeros.tolist(),
-            "home": {"position": position.tolist(), "rotvec": rotvec.tolist()}}
+def mechanism_out(mechanism):
+    """dict of a Hexapod or an Arm, as JSON holds it."""
+    if mechanism.kind == "arm":
+        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
+                "tool": _pose_out(mechanism.tool)}
+    return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
+            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
 
-def _hexapod_in(tree):
-    return Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], pose(tree["home"]["position"], tree["home"]["rotvec"]),
-                   tree["strut_zeros"])
+def mechanism_in(tree):
+    """Hexapod or Arm of what `mechanism_out` gave. Raises KeyError, TypeError or ValueError for anything else."""
+    if tree["kind"] == "arm":
+        return Arm(tree["joints"], tree["limits"], _pose_in(tree["base"]), _pose_in(tree["tool"]))
+    return Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], _pose_in(tree["home"]), tree["strut_zeros"])
 
 
-def _radial_out(part):
+def _pose_out(T):
+    position, rotvec = np.split(vector(T), 2)
+    return {"position": position.tolist(), "rotvec": rotvec.tolist()}
+
+
+def _pose_in(tree):
+    return pose(tree["position"], tree["rotvec"])
+
+
+def _part_out(part):
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
-            ((name, getattr(part, name)) for name in Radial.__slots__)}
+            ((name, getattr(part, name)) for name in type(part).__slots__)}
 
 
-def _radial_in(tree):
-    return Radial(**{name: np.array(value, float) if isinstance(value, list) else value for name, value in tree.items()})
+def _part_in(tree, kind):
+    return kind(**{name: np.array(value, float) if isinstance(value, list) else value for name, value in tree.items()})
 
 
 def _figures_in(tree):
-    return Figures(tree["n"], tuple(tree["position"]), tuple(tree["rotation"]), tuple(tree["bias"]))
+    return Figures(tree["n"], *(_numbers_in(tree[name]) for name in ("position", "rotation", "bias", "mean")))
+
+
+def _numbers_in(values):
+    return tuple(np.nan if value is None else value for value in values)
+
+
+def nulls(tree):
+    """The same with null for figures of what was not measured: JSON has no NaN."""
+    if isinstance(tree, dict):
+        return {name: nulls(value) for name, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [nulls(value) for value in tree]
+    return None if isinstance(tree, float) and not np.isfinite(tree) else tree

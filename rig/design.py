@@ -78,16 +78,29 @@ class Planar2:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """Serial arm. joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad), distal
-    Denavit-Hartenberg; limits : (n, 2) rad."""
+    """Serial arm: T_base_platform = base A_1(q_1) .. A_n(q_n) tool.
+
+    joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad): distal Denavit-Hartenberg,
+    A_i = Rot_z(theta_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i) Rot_y(beta_i); limits : (n, 2) rad
+    base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
+    """
 
     joints: np.ndarray
     limits: np.ndarray
+    base: RigidTransform = field(default_factory=RigidTransform.identity)
+    tool: RigidTransform = field(default_factory=RigidTransform.identity)
     kind = "arm"
 
     def __post_init__(self):
         _set(self, "joints", (None, None))
+        if self.joints.shape[1] not in (4, 5):
+            raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         _set(self, "limits", (len(self.joints), 2))
+
+    @property
+    def rows(self):
+        """(n, 5) theta, d, a, alpha, beta; beta is 0 where it is not stated."""
+        return np.pad(self.joints, ((0, 0), (0, 5 - self.joints.shape[1])))
 
     @property
     def axes(self):
@@ -105,12 +118,13 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad)."""
+    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad), None for
+    one that sees positions alone (a reflector, a touched ball)."""
 
     base: str
     tool: str
     position_sigma: float
-    rotation_sigma: float
+    rotation_sigma: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

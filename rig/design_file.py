@@ -89,7 +89,7 @@ def _ranges(table, key, count, length_limit):
 
 def _instrument(table):
     return Instrument(table.text("base", ("free", "rig")), table.text("tool", ("free", "rig")),
-                      table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", above=0, most=1, unit="rad"))
+                      table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", None, above=0, most=1, unit="rad"))
 
 
 def _actuator(table):
@@ -210,4 +210,37 @@ def with_cameras(text, cameras):
         entry = tomlkit.inline_table()
         entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
         table["pose"] = entry
+    return tomlkit.dumps(document)
+
+
+def camera_block(camera):
+    """Text of a [[camera]] table as rig.toml takes it, its pose as a place to fill in."""
+    matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
+    return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
+            f"distortion = {distortion}\n"
+            "pose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }   # camera in base: put in where it stands\n"
+            'shutter = "global"\n')
+
+
+def with_places(text, places):
+    """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
+
+    text : a valid rig.toml; places : {target name: (Marker, ...)}
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for table in document["target"]:
+        if table["name"] not in places:
+            continue
+        for key in ("edge", "marker", "faces", "pose"):
+            table.pop(key, None)
+        rows = tomlkit.aot()
+        for marker in places[table["name"]]:
+            position, rotvec = np.split(np.round(vector(marker.pose), 10), 2)
+            row, entry = tomlkit.table(), tomlkit.inline_table()
+            entry.update({"position": position.tolist(), "rotvec": rotvec.tolist()})
+            row.update({"id": int(marker.id), "side": float(marker.side), "margin": float(np.round(marker.margin, 9)), "pose": entry})
+            rows.append(row)
+        table["marker"] = rows
     return tomlkit.dumps(document)

@@ -145,8 +145,8 @@ def build(design, text, seed=0, one_sided=False):
     commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
     """
     mechanism = design.mechanism
-    if mechanism.kind not in mechanisms.ALL:
-        raise RigError(f"a mechanism of kind {mechanism.kind!r} cannot be sent anywhere")
+    if mechanism.kind not in ("hexapod", "planar2"):
+        raise RigError(f"a mechanism of kind {mechanism.kind!r} cannot be planned for; hexapod and planar2 can")
     strokes = mechanism.strut_range
     writer = _Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
     rng = np.random.default_rng(seed)

@@ -125,7 +125,8 @@ def load(folder):
     commands = _commands(folder / "commands.csv", design, exposures)
     corners = _corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
-    poses = load_poses(folder / "poses.csv", known) if (folder / "poses.csv").exists() else None
+    alone = design.instrument is not None and design.instrument.rotation_sigma is None
+    poses = load_poses(folder / "poses.csv", known, alone) if (folder / "poses.csv").exists() else None
     return Recording(folder, design, commands, exposures, _sensors(folder / "sensors.csv"), corners, poses)
 
 
@@ -240,12 +241,13 @@ def _corner_covariance(rows):
     return sigma[:, None, None] ** 2 * np.eye(2)
 
 
-def load_poses(path, known_frames=None):
+def load_poses(path, known_frames=None, positions_alone=False):
     """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
 
-    known_frames : set of frame numbers that there are, or None. Raises FileError with line and column.
+    known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there are any,
+    mean nothing: the poses are unrotated. Raises FileError with line and column.
     """
-    rows = table.read(path, ("frame", *POSE_COLUMNS), COVARIANCE_COLUMNS)
+    rows = table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
     frame = rows.whole("frame")
     seen = {}
     for i, number in enumerate(frame.tolist()):
@@ -254,12 +256,13 @@ def load_poses(path, known_frames=None):
         if number in seen:
             rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
         seen[number] = i
-    values = rows.matrix(POSE_COLUMNS)
+    values = np.zeros((len(rows), 6))
+    values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
     far = np.argwhere(np.abs(values[:, :3]) > design_file.LARGEST_RIG)
     if len(far):
         i, j = far[0]
         rows.fail(f"{POSE_COLUMNS[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, POSE_COLUMNS[j], values[i, j])
-    return Poses(frame, pose(values[:, :3], values[:, 3:]), _pose_covariance(rows))
+    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
 
 
 def _pose_covariance(rows):

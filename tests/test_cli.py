@@ -274,3 +274,38 @@ def test_nets_are_true_to_scale(tmp_path):
     edge = target.edge * 1e3
     np.testing.assert_allclose(places["+y"] - places["+x"], [edge, 0], atol=0.3)  # right of +x, seen from outside, lies +y
     np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)
+
+
+def test_lens_prints_a_camera_that_a_rig_takes(shared, tmp_path):
+    photographs = shared / "photos" / "charuco"
+    wanted = [photographs / f"{name}.png" for name in ("01", "03", "05", "10", "11")]
+    (tmp_path / "grey.png").write_bytes((photographs / "01.png").read_bytes())
+    import cv2
+
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((1200, 1600), 90, np.uint8))
+    done = run("lens", *wanted, tmp_path / "grey.png", "--board", "charuco:5x7:0.036195:0.018256:DICT_6X6_250", "--out", tmp_path / "out")
+    assert "grey.png: the board is not found in it" in done.stderr and "5 of 6 photographs" in done.stderr
+    rig = tmp_path / "rig.toml"
+    rig.write_text('schema = "rig/1"\n[mechanism]\nkind = "free"\n' + done.stdout)
+    camera = design_file.load(rig).cameras[0]
+    assert camera.name == "cam0" and camera.width == 1600 and 1300 < camera.matrix[0, 0] < 1450
+    assert (tmp_path / "out" / "camera.toml").read_text() == done.stdout
+    links = Links()
+    links.feed((tmp_path / "out" / "lens.html").read_text())
+    assert not links.outside
+
+
+def test_lens_says_what_it_cannot_use(tmp_path):
+    import cv2
+
+    board = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
+    assert "no such file" in run("lens", tmp_path / "nothing", "--board", board, ok=False).stderr
+    assert "no photographs in this folder" in run("lens", tmp_path, "--board", board, ok=False).stderr
+    assert "no dictionary" in run("lens", tmp_path, "--board", board[:-1], ok=False).stderr
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG")
+    assert "broken.png: cannot be decoded" in run("lens", tmp_path, "--board", board, ok=False).stderr
+    cv2.imwrite(str(tmp_path / "broken.png"), np.zeros((40, 60), np.uint8))
+    nothing = run("lens", tmp_path, "--board", board, ok=False).stderr
+    assert "0 photographs show" in nothing and "broken.png: the board is not found" in nothing
+    cv2.imwrite(str(tmp_path / "other.png"), np.zeros((40, 50), np.uint8))
+    assert "one camera has one size" in run("lens", tmp_path, "--board", board, ok=False).stderr

@@ -11,19 +11,23 @@ from rig.errors import FileError
 from rig.recording import Corners
 from vision.detect import detect, grey, place
 from vision.predict import expected
+from vision.spread import PLAIN, Spread, empty_profile, learn
 
+LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
+ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
 FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Collected:
     """Corners of all images; left_out : (frame, camera, identity, reason) of markers read but not placed;
-    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers; spread : {camera: Spread} learnt from its images."""
 
     corners: Corners
     left_out: list[tuple[int, str, int, str]]
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
+    spread: dict[str, Spread]
 
 
 def read_image(path):
@@ -42,18 +46,49 @@ def collect(recording, marker_map, progress=None):
     rows = [i for i, name in enumerate(recording.exposures.image) if name]
     work = [(recording.exposures.frame[i], recording.design.camera(recording.exposures.camera[i]), recording.exposures.image[i]) for i in rows]
 
-    def one(item):
-        frame, camera, name = item
+    def read(camera, name):
         image = read_image(recording.folder / name)
         if image.shape[:2] != (camera.height, camera.width):
             raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
                             f"{camera.width} x {camera.height} px")
-        return detect(image, camera, marker_map)
+        return image
+
+    cameras = {camera.name: camera for _, camera, _ in work}
+    spread = {}
+    for camera in cameras.values():
+        names = [name for _, other, name in work if other is camera]
+        some = sorted({names[round(k)] for k in np.linspace(0, len(names) - 1, min(LEARN_FROM, len(names)))})
+        spread[camera.name] = learn_spread(lambda name, camera=camera: read(camera, name), some, camera, marker_map)
+
+    def one(item):
+        _, camera, name = item
+        return detect(read(camera, name), camera, marker_map, spread[camera.name])
 
     found = _in_parallel(one, work, progress)
     left_out = [(int(frame), camera.name, number, reason) for (frame, camera, _), d in zip(work, found) for number, reason in d.left_out]
     return Collected(_corners([(frame, camera.name, d) for (frame, camera, _), d in zip(work, found)]), left_out,
-                     _by_camera(work, found, "blur"), _by_camera(work, found, "noise"))
+                     _by_camera(work, found, "blur"), _by_camera(work, found, "noise"), spread)
+
+
+def learn_spread(read, names, camera, marker_map):
+    """Spread of a camera's edges from some of its images. read : called with each of names, returns the image."""
+    def first(name):
+        image = grey(read(name))
+        return image, detect(image[0], camera, marker_map)
+
+    seen = [(full, d.marker, d.corners) for (_, full), d in _in_parallel(first, names, None) if len(d.marker)]
+    spread = PLAIN
+    for _ in range(ROUNDS if seen else 0):
+        def again(item, spread=spread):
+            full, marker, corners = item
+            profile = empty_profile()
+            return place(full, camera, marker_map, marker, corners, spread=spread, reach=0.0, profile=profile), profile
+
+        done = _in_parallel(again, seen, None)
+        blur = np.concatenate([d.blur for d, _ in done])
+        if len(blur):
+            spread = learn(spread, sum(profile for _, profile in done), float(np.median(blur)))
+    return spread
 
 
 def look_again(recording, collected, measurement, marker_map, progress=None):
@@ -77,7 +112,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     def one(item):
         frame, camera, name, numbers, places = item
         _, full = grey(read_image(recording.folder / name))
-        return place(full, camera, marker_map, numbers, places)
+        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN))
 
     found = []
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
@@ -85,7 +120,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
         found.append((frame, camera.name, d, near))
     extra = _corners([(frame, name, d) for frame, name, d, _ in found], [near for *_, near in found])
-    return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise)
+    return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise, collected.spread)
 
 
 def _in_parallel(one, work, progress):

@@ -1,24 +1,30 @@
 """Image -> marker corners with covariance: OpenCV finds and reads the markers, the fit of the whole square places them."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
 
-from vision import lens, square
+from vision import edges, local_lens, square
+from vision.predict import expected
+from vision.spread import LEVELS, NO_PROFILE, PLAIN
 from vision.targets import marker_cells
 
-FIRST_BLUR = 0.8  # px
 ITERATIONS = 25
+ROOM = 6.0  # px around a marker that its blur may take
+REACH = 3.0  # px from where the reader or a prediction puts them within which the sides of a marker are looked for
 SMALLEST_CELL = 2.5  # px across, below which cells run together
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
+EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
+BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
 MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
 COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
-_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+_NEXT = [1, 2, 3, 0]
 _REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
-            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle"}
+            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
+            square.NOT_READ: "its bits are not to be read where it is expected"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +32,7 @@ class Detection:
     """What one image shows.
 
     marker : (m,) identities; corners : (m, 4, 2) px, OpenCV's pixel centres and corner order
-    covariance : (m, 8, 8) px^2, of u0 v0 u1 v1 ..; blur : (m,) px, the pixel's own width included
+    covariance : (m, 8, 8) px^2, of u0 v0 u1 v1 ..; blur : (m,) px, edge width, the pixel's own included
     noise : (m,) grey levels, standard deviation of what the fit leaves; contrast : (m,) grey levels
     left_out : (identity, reason) of markers that were read and not placed
     """
@@ -40,18 +46,20 @@ class Detection:
     left_out: tuple[tuple[int, str], ...]
 
 
-def grey(image):
-    """(height, width) uint8 for the reader and float32 for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
+def grey(image, reader=True):
+    """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
 
-    Raises ValueError for any other kind.
+    reader : whether the first is wanted. Raises ValueError for any other kind.
     """
     if image.ndim == 3 and image.shape[2] in (3, 4):
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"expected a grey or colour image of 8 or 16 bit, got {image.dtype} {image.shape}")
     if image.dtype == np.uint8:
-        return image, image.astype(np.float32)
+        return image, image
     full = image.astype(np.float32) / 257
+    if not reader:
+        return None, full
     top = max(float(np.percentile(full, 99.9)), 1e-3)
     return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
 
@@ -64,142 +72,109 @@ def _detector(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map):
+def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None):
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
-    marker_map : MarkerMap; other identities are passed over
+    marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
+    T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
+    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all.
     Returns Detection
     """
+    if T_base_platform is not None:
+        rows, places = expected(camera, T_base_platform, marker_map)
+        found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
+        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], found.marker)
+        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)):
+            return found
     eight, full = grey(image)
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
         corners, ids, _ = _detector(name).detectMarkers(eight)
         ids = [] if ids is None else ids.ravel().tolist()
-        for number, quad in zip(ids, corners):
-            row = marker_map.rows([number])[0]
-            if row < 0 or marker_map.dictionary[row] != name:
-                continue
-            found.setdefault(int(number), []).append(np.asarray(quad, float).reshape(4, 2))
+        rows = marker_map.rows(np.array(ids, int)).tolist() if ids else []
+        for number, row, quad in zip(ids, rows, corners):
+            if row >= 0 and marker_map.dictionary[row] == name:
+                found.setdefault(number, []).append(quad)
     for number in [number for number, quads in found.items() if len(quads) > 1]:
         left_out.append((number, f"seen {len(found.pop(number))} times in one image"))
     numbers = sorted(found)
-    return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers]).reshape(-1, 4, 2), left_out)
+    return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out, spread)
 
 
-def place(full, camera, marker_map, numbers, guess, left_out=()):
-    """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so. full : float32 image."""
-    guess = np.asarray(guess, float)
-    rows = marker_map.rows(np.array(numbers, int)) if len(numbers) else np.zeros(0, int)
-    out, kept, left_out = [], [], list(left_out)
-    for bits in sorted({len(marker_cells(marker_map.dictionary[row], numbers[i])) for i, row in enumerate(rows)}):
-        index = [i for i, row in enumerate(rows) if len(marker_cells(marker_map.dictionary[row], numbers[i])) == bits]
-        n = bits - 4
-        cells = np.array([marker_cells(marker_map.dictionary[rows[i]], numbers[i]) for i in index])
-        margin = np.array([marker_map.margin[rows[i]] / marker_map.side[rows[i]] * (n + 2) for i in index])
-        for i, result in zip(index, _fit(full, camera, guess[index], cells, n, margin)):
-            if isinstance(result, str):
-                left_out.append((int(numbers[i]), result))
-            else:
-                kept.append(int(numbers[i]))
-                out.append(result)
-    order = np.argsort(kept, kind="stable")
-    columns = [np.array([out[i][k] for i in order]) for k in range(5)]
-    return Detection(np.array(kept, int)[order], columns[0].reshape(-1, 4, 2), columns[1].reshape(-1, 8, 8), *columns[2:], tuple(left_out))
+def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, reach=REACH, verify=False, profile=None):
+    """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
+
+    full : (height, width) in 255ths of white; spread : Spread of the camera's edges
+    reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
+    verify : whether a marker's bits are read before it is believed to be there; profile : see vision.spread, added to
+    """
+    guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
+    rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
+    patterns = [_pattern(marker_map.dictionary[row], number) for row, number in zip(rows.tolist(), numbers.tolist())]
+    sizes = np.array([len(cells) for cells, _ in patterns], int)
+    parts, left_out = [], list(left_out)
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
+        cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
+        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, reach, verify, profile)
+        left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason]
+        parts.append((numbers[index[good]], *columns))
+    if not parts:
+        empty = np.zeros(0)
+        return Detection(np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out))
+    joined = [np.concatenate(column) for column in zip(*parts)]
+    order = np.argsort(joined[0], kind="stable")
+    return Detection(*(column[order] for column in joined), tuple(left_out))
 
 
-def _fit(full, camera, quads, cells, n, margin):
-    """(corners, covariance, blur, noise, contrast) or a reason, for each quad (m, 4, 2) px of one size of marker."""
+def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, profile):
+    """(good (m,) bool, reasons, (corners, covariance, blur, noise, contrast) of the good) for quads (m, 4, 2) px of one size."""
     m = len(quads)
     height, width = full.shape
-    sides = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2)
-    centre = quads.mean(axis=1)
-    scale = np.abs(quads - centre[:, None]).max(axis=(1, 2))
-    polynomials, focal = _lens_polynomials(camera, centre, scale)
-    local = (quads - centre[:, None]) / scale[:, None, None]
-    ideal = np.einsum("mci,mki->mkc", polynomials, _powers(local))
-    goal = np.array([[-1, -1], [n + 1, -1], [n + 1, n + 1], [-1, n + 1.0]])
-    G = np.array([_homography(points, goal) for points in ideal])
-    reach = sides.max(axis=1) / (n + 2) + 4
-    low = np.maximum(np.floor(quads.min(axis=1) - reach[:, None]), 0).astype(int)
-    high = np.minimum(np.ceil(quads.max(axis=1) + reach[:, None]) + 1, [width, height]).astype(int)
-    blur, results = np.full(m, FIRST_BLUR), np.zeros((m, 6))
-    covariances, status = np.zeros((m, square.UNKNOWNS, square.UNKNOWNS)), np.zeros(m, np.int64)
-    centres = np.concatenate([centre, scale[:, None]], axis=1)
-    square.fit_squares(full, np.concatenate([low, high], axis=1), polynomials, centres, cells, n, margin, G, blur, ITERATIONS, results,
-                       covariances, status)
-    for k in range(m):
-        yield _judge(k, camera, quads, sides, centres, focal, goal, G, blur, results, covariances, status, n)
+    sides = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
+    middle = quads.mean(axis=1)
+    centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+    polynomials = np.empty((m, 2, 10))
+    local_lens.polynomials(local_lens.table(camera), centres, polynomials)
+    room = ROOM + reach + 0.02 * sides.max(axis=1)[:, None]
+    low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
+    high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
+    boxes = np.concatenate([low, high], axis=1)
+    starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
+    pixels = np.empty(starts[-1], np.float32)
+    edges.cut(full, boxes, starts, pixels)
+    along = quads[:, _NEXT] - quads
+    axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
+    directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
+    corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
+    wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
+    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong,
+                       spread.tables, LEVELS, directions, spread.width, ITERATIONS, corners, covariances, results, status,
+                       NO_PROFILE if profile is None else profile)
+    wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
+    reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]
+    good = np.array([not reason for reason in reasons], bool)
+    return good, reasons, (corners[good], covariances[good], results[good, 4], results[good, 0], results[good, 1])
 
 
-def _judge(k, camera, quads, sides, centres, focal, goal, G, blur, results, covariances, status, n):
-    cell = sides[k].min() / (n + 2)
+def _reason(status, cell, wandered, noise, contrast, _, doubted, *others):
+    """Why a marker is left out, or "" where it is not."""
     if cell < SMALLEST_CELL:
         return f"too small: a cell is {cell:.1f} px"
-    if status[k] != square.OK:
-        return _REASONS[status[k]]
-    noise, contrast, doubted = results[k, :2].tolist() + [results[k, 3]]
+    if status != square.OK:
+        return _REASONS[status]
     if contrast < LEAST_CONTRAST * noise:
         return f"contrast {contrast:.0f} is lost in noise {noise:.1f}" if noise < MISFIT * 255 else "covered or not this marker"
     if doubted > COVERED:
         return f"covered or not this marker: {doubted:.0%} of its pixels do not fit"
     if noise > MISFIT * contrast:
         return f"covered or not this marker: the fit leaves {noise / contrast:.0%} of the contrast"
-    local, to_homography = _corners(G[k], goal)
-    scale = centres[k, 2]
-    points = np.concatenate([(local * scale + focal[k, 1]) / focal[k, 0], np.ones((4, 1))], axis=1)
-    corners, J_point, _ = lens.project_jacobian(points, camera.matrix, camera.distortion)
-    if np.abs(corners - quads[k]).max() > max(WANDER * sides[k].max() / (n + 2), 2.0):
-        return "the fit left the place where it was read"
-    J = np.zeros((8, 8))
-    for c in range(4):
-        J[2 * c : 2 * c + 2] = J_point[c, :, :2] @ (to_homography[c] * scale / focal[k, 0][:, None])
-    return corners, J @ covariances[k, :8, :8] @ J.T, blur[k], noise, contrast
+    return "the fit left the place where it was read" if wandered else ""
 
 
-def _powers(local):
-    """(..., 10) monomials up to the third degree of local coordinates (..., 2), in the order the fit takes them."""
-    u, v = local[..., 0], local[..., 1]
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3], axis=-1)
-
-
-_NODES = np.stack(np.meshgrid(*[1.6 * np.cos(np.pi * (np.arange(5) + 0.5) / 5)] * 2), axis=-1).reshape(-1, 2)
-_TO_POLYNOMIAL = np.linalg.pinv(_powers(_NODES))
-
-
-def _lens_polynomials(camera, centre, scale):
-    """(m, 2, 10) cubics from local pixels to local ideal coordinates, and (m, 2, 2) focal length and offset that undo these.
-
-    Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - offset) / scale.
-    """
-    uv = centre[:, None] + scale[:, None, None] * _NODES
-    ideal = lens.undistort(np.concatenate([uv, centre[:, None]], axis=1), camera.matrix, camera.distortion)
-    f = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-    offset = ideal[:, -1] * f
-    local = (ideal[:, :-1] * f - offset[:, None]) / scale[:, None, None]
-    return np.ascontiguousarray(np.einsum("ik,mkc->mci", _TO_POLYNOMIAL, local)), np.stack([np.broadcast_to(f, offset.shape), offset], axis=1)
-
-
-def _homography(points, goal):
-    """(3, 3) with last entry 1 that maps four points (4, 2) to goal (4, 2)."""
-    A = np.zeros((8, 8))
-    for i, ((x, y), (X, Y)) in enumerate(zip(points, goal)):
-        A[2 * i] = x, y, 1, 0, 0, 0, -X * x, -X * y
-        A[2 * i + 1] = 0, 0, 0, x, y, 1, -Y * x, -Y * y
-    return np.append(np.linalg.solve(A, goal.ravel()), 1.0).reshape(3, 3)
-
-
-def _corners(G, goal):
-    """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (4, 2, 8) to the homography's entries."""
-    back = np.linalg.inv(G)
-    h = np.concatenate([goal, np.ones((4, 1))], axis=1) @ back.T
-    local = h[:, :2] / h[:, 2:]
-    J = np.empty((4, 2, 8))
-    for c in range(4):
-        x, y = local[c]
-        X, Y = goal[c]
-        w = G[2, 0] * x + G[2, 1] * y + G[2, 2]
-        to_cells = np.array([[x, y, 1, 0, 0, 0, -X * x, -X * y], [0, 0, 0, x, y, 1, -Y * x, -Y * y]]) / w
-        slope = np.array([[G[0, 0] - X * G[2, 0], G[0, 1] - X * G[2, 1]], [G[1, 0] - Y * G[2, 0], G[1, 1] - Y * G[2, 1]]]) / w
-        J[c] = -np.linalg.solve(slope, to_cells)
-    return local, J
+@cache
+def _pattern(name, number):
+    cells = marker_cells(name, number)
+    return cells, edges.outlook(cells)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.pose import skew
 from vision import lens
+from vision.targets import SQUARE
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier
@@ -18,7 +19,6 @@ FIRST_SIGHTINGS = 4  # sightings tried as candidates before all the others are
 AGREED = 0.8  # share of corners in consensus at which the first sightings suffice
 ITERATIONS = 25
 AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
-_SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +53,10 @@ class Located:
 
 @dataclass(frozen=True, slots=True)
 class Unsolved:
-    """No pose, and why. False in a condition."""
+    """No pose, and why. False in a condition. candidates : Located poses that the images alone cannot decide between."""
 
     reason: str
+    candidates: tuple = ()
 
     def __bool__(self):
         return False
@@ -73,10 +74,11 @@ def undistorted(uv, covariance, camera, cameras):
     return ideal, out
 
 
-def locate(view, marker_map):
+def locate(view, marker_map, finest=FINEST):
     """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand out.
 
-    view : View; marker_map : MarkerMap, which says how each marker sits on the body
+    view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller than
+    this are never an outlier's: what the markers' stated places are uncertain by
     Returns Located, or Unsolved where nothing is seen, where one sighting of one marker cannot be checked against another,
     where the sightings contradict each other, or where two different poses fit as well
     Source: Collins and Bartoli, Infinitesimal plane-based pose estimation, IJCV 2014 (candidates); consensus as in
@@ -86,26 +88,38 @@ def locate(view, marker_map):
     if not sightings:
         return Unsolved("no marker of the body is seen whole" if len(view.points) else "no marker of the body is seen")
     seen = sorted({int(marker_map.id[marker]) for _, marker, _ in sightings})
-    if len(sightings) == 1:
-        return Unsolved(f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another")
     matrices, distance = _candidates(view, sightings[:FIRST_SIGHTINGS], marker_map)
+    if len(sightings) == 1:
+        return Unsolved(f"only marker {seen[0]} is seen, once: a single sighting cannot be checked against another",
+                        _alone(view, matrices, distance, finest))
     if not len(matrices) or (distance < CONSENSUS).mean(axis=1).max() < AGREED:
         matrices, distance = _candidates(view, sightings, marker_map)
     if not len(matrices):
         return Unsolved("no single marker gives a pose in front of its camera")
     score = (np.minimum(distance / CONSENSUS, 1) ** 2).sum(axis=1)
     chosen = np.argmin(score)
-    best = _refine(view, matrices[chosen], distance[chosen] < CONSENSUS)
+    best = _refine(view, matrices[chosen], distance[chosen] < CONSENSUS, finest)
     if best is None:
         return Unsolved(f"markers {seen} lead to no common pose")
-    matrix, covariance, inliers, chi2 = best
+    matrix, covariance, inliers, square, scale = best
     agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
     if agreeing < 2 or 2 * agreeing < len(sightings):
         return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
-    rival = _rival(view, matrices, distance, matrix, chi2)
+    located = Located(RigidTransform.from_matrix(matrix), covariance, inliers)
+    rival = _rival(view, matrices, distance, matrix, square / scale**2, finest)
     if rival is not None:
-        return Unsolved(f"two poses {np.degrees(rival):.0f} degrees apart fit markers {seen} equally well")
-    return Located(RigidTransform.from_matrix(matrix), covariance, inliers)
+        turn = np.degrees(_apart(rival.T_world_body.as_matrix(), matrix))
+        return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, rival))
+    return located
+
+
+def _alone(view, matrices, distance, finest):
+    """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ enough."""
+    found = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
+    found = sorted((one for one in found if one is not None), key=lambda one: one[3])
+    worst = found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0  # eight figures less six unknowns leave two
+    return tuple(Located(RigidTransform.from_matrix(one[0]), *one[1:3]) for k, one in enumerate(found)
+                 if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k]))
 
 
 def _sightings(view):
@@ -122,7 +136,7 @@ def _candidates(view, sightings, marker_map):
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
-        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * _SQUARE, view.ideal[rows], np.eye(3), None,
+        count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None,
                                                                 flags=cv2.SOLVEPNP_IPPE_SQUARE)
         T_world_camera, T_marker_body = _inverse(view.T_camera_world[camera]), _inverse(marker_map.T_body_marker[marker].as_matrix())
         for k in range(count):
@@ -157,15 +171,15 @@ def _distances(view, matrices):
     return np.where(possible & np.isfinite(gap[..., 0]), np.linalg.norm(gap, axis=-1) * view.focal[view.camera], np.inf)
 
 
-def _refine(view, matrix, inliers):
-    """(matrix, covariance, inliers, chi-square) of a robust Gauss-Newton; None where it falls apart.
+def _refine(view, matrix, inliers, least):
+    """(matrix, covariance, inliers, whitened squares, scale) of a robust Gauss-Newton; None where it falls apart.
 
-    Geman-McClure weights whose scale comes down with the residuals' own, then a plain fit of the inliers.
+    least : px, the robust scale's floor. Geman-McClure weights whose scale comes down with the residuals' own, then a plain fit of the inliers.
     """
     finite = np.isfinite(view.ideal[:, 0])
     whitener = np.linalg.inv(np.linalg.cholesky(np.where(finite[:, None, None], view.covariance, np.eye(2))))
     typical = view.focal[view.camera] * np.sqrt(np.einsum("nii->n", view.covariance) / 2)
-    finest = FINEST / np.median(typical[finite])
+    finest = least / np.median(typical[finite])
     inliers, hard, calm = inliers & finite, False, False
     for iteration in range(ITERATIONS):
         if inliers.sum() < 4:
@@ -196,7 +210,7 @@ def _refine(view, matrix, inliers):
     H = J[inliers].reshape(-1, 6).T @ J[inliers].reshape(-1, 6)
     if np.linalg.cond(H) > 1e14:
         return None
-    return matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum() / scale**2)
+    return matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale)
 
 
 def _linearise(view, matrix, whitener):
@@ -213,8 +227,8 @@ def _linearise(view, matrix, whitener):
     return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
 
 
-def _rival(view, matrices, distance, matrix, chi2):
-    """Angle (rad) to a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
+def _rival(view, matrices, distance, matrix, chi2, finest):
+    """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
     tried = [matrix]
     for at in near[np.argsort(distance[near].max(axis=1), kind="stable")]:
@@ -223,11 +237,10 @@ def _rival(view, matrices, distance, matrix, chi2):
         if any(_apart(matrices[at], other) is None for other in tried):
             continue
         tried.append(matrices[at])
-        other = _refine(view, matrices[at], distance[at] < CONSENSUS)
-        if other is not None and other[3] - chi2 < RIVAL and other[2].mean() >= 0.9:
-            angle = _apart(other[0], matrix)
-            if angle is not None:
-                return angle
+        other = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
+        alike = other is not None and other[3] / other[4] ** 2 - chi2 < RIVAL and other[2].mean() >= 0.9
+        if alike and _apart(other[0], matrix) is not None:
+            return Located(RigidTransform.from_matrix(other[0]), *other[1:3])
     return None
 
 

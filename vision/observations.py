@@ -1,6 +1,6 @@
 """Corners of a whole recording as flat arrays, sorted so that each camera's and each frame's stand together."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,12 @@ class Observations:
         key = self.camera * len(self.frames) + self.frame
         edges = np.flatnonzero(np.diff(key)) + 1
         return np.stack([np.r_[0, edges], np.r_[edges, len(key)]], axis=1) if len(key) else np.zeros((0, 2), int)
+
+
+def only(observations, solved):
+    """The corners of the frames (indices) that are solved, those frames counted anew."""
+    kept = observations.take(np.isin(observations.frame, solved))
+    return replace(kept, frames=observations.frames[solved], frame=np.searchsorted(solved, kept.frame))
 
 
 def from_corners(corners, frames, design, marker_map):

@@ -9,6 +9,7 @@ from rig.design import Camera
 from rig.errors import RigError
 from rig.pose import exp, transform_points
 from vision import lens
+from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
 INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
@@ -16,11 +17,19 @@ INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Cameras (fixed ones posed), platform : T_base_platform (F,), moving : {camera index: T_base_camera (F,)}."""
+    """Cameras (fixed ones posed), platform : T_base_platform (F,), moving : {camera index: T_base_camera (F,)}.
+
+    markers : MarkerMap where the markers' places are known better than the observations state them, else None
+    """
 
     cameras: tuple[Camera, ...]
     platform: RigidTransform
     moving: dict[int, RigidTransform]
+    markers: MarkerMap | None = None
+
+    def at(self, frames):
+        """The same with only the frames of an index or mask (F,)."""
+        return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
 def predict(observations, state):
@@ -96,12 +105,17 @@ def inside(sightings, uv, cameras, margin=INSIDE):
 
 
 def expected(camera, T_base_platform, marker_map):
-    """Marker rows (k,) that a camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
-    state = State((camera,), RigidTransform.from_matrix(T_base_platform.as_matrix()[None]), {})
-    found = facing(state, marker_map)
-    uv = see(found, state, marker_map)
-    whole = inside(found, uv, state.cameras)
-    return found.marker[whole], uv[whole]
+    """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
+    to_camera = camera.pose.inv().as_matrix()
+    matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
+    ahead = marker_map.corners @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
+    middle, out = ahead.mean(axis=1), np.cross(ahead[:, 0] - ahead[:, 1], ahead[:, 2] - ahead[:, 1])
+    cosine = -(out * middle).sum(axis=1) / np.sqrt((out**2).sum(axis=1) * (middle**2).sum(axis=1))
+    rows = np.flatnonzero((cosine > STEEPEST) & (ahead[:, :, 2].min(axis=1) > marker_map.side))
+    uv = lens.project(ahead[rows], camera.matrix, camera.distortion)
+    size = np.array([camera.width, camera.height])
+    whole = ((uv > INSIDE) & (uv < size - 1 - INSIDE)).all(axis=(1, 2))
+    return rows[whole], uv[whole]
 
 
 def _quads(platform, markers):
@@ -169,9 +183,14 @@ def by_camera(observations, state):
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
+def body_points(observations, state):
+    """(n, 3) m, the observed points in their body's frame."""
+    return observations.points if state.markers is None else state.markers.corners[observations.marker, observations.corner]
+
+
 def base_points(observations, state):
     """(n, 3) m, the observed points in the base frame."""
-    points = observations.points.copy()
+    points = body_points(observations, state).copy()
     on = observations.on_platform
     matrix = state.platform.as_matrix()[observations.frame[on]]
     points[on] = (matrix[:, :3, :3] @ points[on][..., None])[..., 0] + matrix[:, :3, 3]

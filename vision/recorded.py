@@ -1,5 +1,7 @@
 """A recording -> its measurement, from whichever it has: corners as they stand, or images, read and looked at again."""
 
+import numpy as np
+
 from rig.errors import NotEnoughData
 from vision.collect import collect, look_again
 from vision.measure import measure
@@ -7,10 +9,16 @@ from vision.observations import from_corners
 from vision.targets import marker_map
 
 
-def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None):
+REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
+PLACES = ("auto", "stated", "free")
+
+
+def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None, places="stated"):
     """(Measurement, Collected or None) of a recording.
 
-    free : what is adjusted, see vision.adjust; detect_anew : read the images even where corners.csv is there
+    free : what is adjusted, see vision.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
+    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames
+    detect_anew : read the images even where corners.csv is there
     progress : called with (label, done, of), or None
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
@@ -20,23 +28,55 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
                             "measuring takes at least one of each")
     if not any(target.body == "platform" for target in design.targets):
         raise NotEnoughData(f"{recording.folder}: rig.toml has no target on the platform, so its pose cannot be seen")
-    frames, _ = recording.exposures.times()
+    if places not in PLACES:
+        raise ValueError(f"places takes {PLACES}, got {places!r}")
+    frames, t = recording.exposures.times()
     markers = marker_map(design)
 
     def said(label):
         return (lambda done, of: progress(label, done, of)) if progress else None
 
+    def solve(corners):
+        return _solve(from_corners(corners, frames, design, markers), design, markers, free, said("locating"), t, places)
+
     if recording.corners is not None and not detect_anew:
-        observed = from_corners(recording.corners, frames, design, markers)
-        return measure(observed, design, markers, free, said("locating")), None
+        return solve(recording.corners), None
     if not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
     found = collect(recording, markers, said("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {sum(map(bool, recording.exposures.image))} images")
-    measured = measure(from_corners(found.corners, frames, design, markers), design, markers, free, said("locating"))
+    measured = solve(found.corners)
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again
-        measured = measure(from_corners(found.corners, frames, design, markers), design, markers, free, said("locating"))
+        measured = solve(found.corners)
     return measured, found
+
+
+def _solve(observed, design, markers, free, progress, t, places):
+    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at."""
+    loose = (*free, "markers")
+    if places == "free":
+        return measure(observed, design, markers, loose, progress, t)
+    try:
+        measured = measure(observed, design, markers, free, progress, t)
+    except NotEnoughData:
+        if places == "stated":
+            raise
+        return measure(observed, design, markers, loose, progress, t)
+    if places == "stated" or len(refused(measured)) <= REFUSED * len(observed.frames):
+        return measured
+    freed = measure(observed, design, markers, loose, progress, t)
+    return freed if len(freed.frames) > len(measured.frames) else measured
+
+
+def refused(measured):
+    """Numbers of frames that show two markers or more of all that is needed, and are not solved."""
+    o = measured.observations
+    enough = np.ones(len(o.frames), bool)
+    moving = [i for i, camera in enumerate(measured.design.cameras) if camera.mount == "moving"]
+    for mask in (o.on_platform, *(~o.on_platform & (o.camera == i) for i in moving)):
+        frame, _ = np.unique(np.stack([o.frame[mask], o.camera[mask] * 100_000 + o.marker[mask]], axis=1), axis=0).T
+        enough &= np.bincount(frame, minlength=len(o.frames)) >= 2
+    return [number for number in o.frames[enough].tolist() if number in measured.unsolved]

@@ -1,265 +1,293 @@
 """The image of one printed square: a known pattern of cells, seen through a homography, a lens, blur and a pixel grid.
 
-The whole marker is fitted at once (Gauss-Newton on its pixels): the homography from image to cells (8 unknowns), the blur
-(1), and the grey of black and of white, each a plane over the marker (6). The blur is a Gaussian that includes the pixel's
-own width; along a marker's skewed axes it is a bivariate normal, whose correlated part is integrated where two edges meet.
-Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017; bivariate normal,
-Drezner and Wesolowsky 1990.
+The whole marker is fitted at once (Gauss-Newton on the pixels near its edges): the homography from image to cells (8
+unknowns), the width of the edges (1), and the grey of black and of white, each a plane over the image (6). How brightness
+climbs across an edge is a tabulated edge spread function, the pixel's own width included: a Gaussian's, or one learnt from
+the images (vision/spread.py), one for each direction of edges. Where two edges meet, their product is corrected by a
+bivariate normal's correlated part (vision/pattern.py), because a marker's axes are seldom square in the image.
+Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
 import math
 
 import numpy as np
-from numba import njit
+
+from vision.cholesky import factor, solve
+from vision.edges import edge_pixels, homography, misread, straighten
+from vision.jit import kernel
+from vision.local_lens import to_image
+from vision.pattern import edge, pattern
 
 UNKNOWNS = 15
-REACH = 3.2  # blur widths on either side of an edge that are looked at
-CLEAR = 2.5  # blur widths kept clear of whatever lies beyond the white margin
+ROWS = 16  # the unknowns and the residual: one row each of what is multiplied out
+CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's first cache
+SAMPLE = 300  # pixels that take part while the fit is still on its way
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
-STEPS = 2048
-SPAN = 8.0  # the tabulated normal reaches from -SPAN/2 to SPAN/2
-_grid = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
-_CDF = np.array([0.5 * math.erfc(-x / math.sqrt(2)) for x in _grid])
-_PDF = np.exp(-_grid * _grid / 2) / math.sqrt(2 * math.pi)
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED = range(6)
+NEAR = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
+FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
+PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
+STRAYED, WIDENED = 0.4, 1.1  # px that corners may move, times that edges may widen before the pixels near them are collected anew
+OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
 
-@njit(cache=True, fastmath=True)
-def _normal(x):
-    """Normal distribution and density at x, from a table (1e-6)."""
-    at = (x + SPAN / 2) * (STEPS / SPAN)
-    if at <= 0:
-        return 0.0, 0.0
-    if at >= STEPS:
-        return 1.0, 0.0
-    i = int(at)
-    f = at - i
-    return _CDF[i] + f * (_CDF[i + 1] - _CDF[i]), _PDF[i] + f * (_PDF[i + 1] - _PDF[i])
+@kernel
+def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table_y, light, lit, limit, J, H, sizes):
+    """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted).
 
-
-@njit(cache=True, fastmath=True)
-def _corner_part(h, k, rho):
-    """Bivariate normal distribution less the product of its margins."""
-    total = 0.0
-    for g in range(4):
-        r = 0.5 * rho * (_NODES[g] + 1)
-        q = 1 - r * r
-        total += _WEIGHTS[g] * math.exp(-(h * h - 2 * r * h * k + k * k) / (2 * q)) / math.sqrt(q)
-    return total * rho / (4 * math.pi)
-
-
-@njit(cache=True, fastmath=True)
-def _pattern(cells, n, X, Y, sx, sy, rho, out):
-    """White share at cell coordinates X, Y under blur sx, sy (cells) of correlation rho; out: value, d/dX, d/dY, d/dblur.
-
-    cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
+    points, greys, places : of `edge_pixels`, the first `count`; slope : (2, 2) of the lens in the middle, image to ideal
+    limit : grey levels, of a trusted residual; J : (ROWS, CHUNK) to work in; sizes : (count,) out, |residual|
+    While it is not lit only the greys' part of J is of use.
     """
-    i = int(math.floor(X))
-    j = int(math.floor(Y))
-    i = min(max(i, -2), n + 1)
-    j = min(max(j, -2), n + 1)
-    hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
-    Pa, pa = _normal(hl)
-    Pb, pb = _normal(hr)
-    Pc, pc = _normal(vl)
-    Pd, pd = _normal(vr)
-    wx = (1 - Pa, Pa - Pb, Pb)
-    wy = (1 - Pc, Pc - Pd, Pd)
-    dx = (-pa / sx, (pa - pb) / sx, pb / sx)
-    dy = (-pc / sy, (pc - pd) / sy, pd / sy)
-    bx = (pa * hl, pb * hr - pa * hl, -pb * hr)  # d wx / d ln(blur)
-    by = (pc * vl, pd * vr - pc * vl, -pd * vr)
-    s, gx, gy, gb = 0.0, 0.0, 0.0, 0.0
-    for v in range(3):
-        rx, rdx, rbx = 0.0, 0.0, 0.0
-        for u in range(3):
-            c = cells[min(max(j + v + 1, 0), n + 3), min(max(i + u + 1, 0), n + 3)]
-            rx += c * wx[u]
-            rdx += c * dx[u]
-            rbx += c * bx[u]
-        s += wy[v] * rx
-        gx += wy[v] * rdx
-        gy += dy[v] * rx
-        gb += wy[v] * rbx + by[v] * rx
-    if abs(rho) > 0.01:
-        for u in range(2):
-            h = hl if u == 0 else hr
-            if abs(h) > 4:
-                continue
-            for v in range(2):
-                k = vl if v == 0 else vr
-                if abs(k) > 4:
-                    continue
-                y0, y1 = min(max(j + v + 1, 0), n + 3), min(max(j + v + 2, 0), n + 3)
-                x0, x1 = min(max(i + u + 1, 0), n + 3), min(max(i + u + 2, 0), n + 3)
-                w = cells[y0, x0] - cells[y0, x1] - cells[y1, x0] + cells[y1, x1]
-                if w != 0:
-                    s += w * _corner_part(h, k, rho)
-    out[0], out[1], out[2], out[3] = s, gx, gy, gb
+    H[:] = 0
+    weights, doubted = 0.0, 0
+    g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
+    s00, s01, s10, s11 = slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1]
+    for start in range(0, count, CHUNK):
+        size = min(CHUNK, count - start)
+        for k in range(size):
+            xi, yi = float(points[start + k, 0]), float(points[start + k, 1])
+            w = 1.0 / (g20 * xi + g21 * yi + 1.0)
+            X, Y = (g00 * xi + g01 * yi + g02) * w, (g10 * xi + g11 * yi + g12) * w
+            kind, i, j = places[start + k, 0], places[start + k, 1], places[start + k, 2]
+            p, dX, dY, dB = 0.0, 0.0, 0.0, 0.0
+            if kind == 0:
+                Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
+                Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
+                ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
+                p, dX, dY, dB = pattern(cells, i, j, X, Y, s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), table_x, table_y)
+            elif abs(kind) == 1:
+                Xx, Xy = g00 - X * g20, g01 - X * g21
+                Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
+                across = kind / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
+                h = (X - i) * across
+                p, e = edge(table_x, h)
+                dX, dB = e * across, -e * h
+            else:
+                Yx, Yy = g10 - Y * g20, g11 - Y * g21
+                Yu, Yv = Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
+                across = 0.5 * kind / (s * w * math.sqrt(Yu * Yu + Yv * Yv))
+                h = (Y - j) * across
+                p, e = edge(table_y, h)
+                dY, dB = e * across, -e * h
+            white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
+            q, root = 1 - p, 1.0
+            r = greys[start + k] - white * p - black * q
+            sizes[start + k] = abs(r)
+            if lit and abs(r) > limit:
+                root = limit / abs(r)
+                root *= math.sqrt(root)
+                doubted += 1
+            weights += root * root
+            contrast = (white - black) * root
+            dX, dY, dB, p, q = dX * w * contrast, dY * w * contrast, dB * contrast, p * root, q * root
+            both = -(dX * X + dY * Y)
+            J[0, k], J[1, k], J[2, k] = dX * xi, dX * yi, dX
+            J[3, k], J[4, k], J[5, k] = dY * xi, dY * yi, dY
+            J[6, k], J[7, k], J[8, k] = both * xi, both * yi, dB
+            J[9, k], J[10, k], J[11, k] = p, p * xi, p * yi
+            J[12, k], J[13, k], J[14, k] = q, q * xi, q * yi
+            J[15, k] = r * root
+        for i in range(0 if lit else 9, ROWS):
+            for j in range(i, ROWS):
+                total = np.float32(0)
+                for k in range(size):
+                    total += J[i, k] * J[j, k]
+                H[i, j] += total
+    for i in range(ROWS):
+        for j in range(i):
+            H[i, j] = H[j, i]
+    return weights, doubted
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def fit_squares(image, boxes, lenses, centres, cells, n, margins, G, blur, iterations, results, covariances, status):
-    """Fit every marker of an image, in place.
+@kernel
+def _corners(g, n, corners, J):
+    """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned over."""
+    for c in range(4):
+        X = -1.0 if c == 0 or c == 3 else n + 1.0
+        Y = -1.0 if c < 2 else n + 1.0
+        a0, a1, a2 = g[0, 0] - X * g[2, 0], g[0, 1] - X * g[2, 1], g[0, 2] - X
+        b0, b1, b2 = g[1, 0] - Y * g[2, 0], g[1, 1] - Y * g[2, 1], g[1, 2] - Y
+        det = a0 * b1 - a1 * b0
+        if not abs(det) > 1e-12:
+            return False
+        x, y = (a1 * b2 - b1 * a2) / det, (b0 * a2 - a0 * b2) / det
+        if not (g[2, 0] * x + g[2, 1] * y + 1) * det > 0:
+            return False
+        corners[c, 0], corners[c, 1] = x, y
+        for k in range(8):
+            point = x if k % 3 == 0 else (y if k % 3 == 1 else 1.0)
+            to_X = point if k < 3 else (-X * point if k > 5 else 0.0)
+            to_Y = 0.0 if k < 3 else (-Y * point if k > 5 else point)
+            J[2 * c, k], J[2 * c + 1, k] = (a1 * to_Y - b1 * to_X) / det, (b0 * to_X - a0 * to_Y) / det
+    return True
 
-    image : (height, width) float32; boxes : (m, 4) x0 y0 x1 y1 px, pixels to look at
+
+@kernel
+def _step(H, g, s, light, n, scale, corners, J, x, L):
+    """Move g, light in place by a Gauss-Newton step; returns (px the farthest corner moves, width, status)."""
+    if not factor(H, 0, UNKNOWNS, L):
+        return 0.0, s, SINGULAR
+    solve(L, UNKNOWNS, H[ROWS - 1], x)
+    if not _corners(g, n, corners, J):
+        return 0.0, s, WANDERED
+    moved = 0.0
+    for c in range(4):
+        du, dv = 0.0, 0.0
+        for k in range(8):
+            du += J[2 * c, k] * x[k]
+            dv += J[2 * c + 1, k] * x[k]
+        moved = max(moved, scale * math.sqrt(du * du + dv * dv))
+    if not moved < 1e6:
+        return 0.0, s, SINGULAR
+    short = min(1.0, 0.5 * scale / ((n + 2) * max(moved, 1e-9)))  # never much more than half a cell at once
+    for k in range(8):
+        g[k // 3, k % 3] += short * x[k]
+    for k in range(6):
+        light[k] += x[9 + k]
+    change = min(max(x[8], -0.3), 0.3) if moved < FIRM else 0.0  # edges out of place look wide
+    return short * moved, min(max(s + change * s, 0.25), 6.0), OK
+
+
+@kernel
+def _covariance(H, weights, J, x, L, covariance):
+    """(8, 8) covariance of the corners' local ideal coordinates, from the residuals' own scatter; returns that (grey levels).
+
+    x, L : of the last step
+    """
+    left = H[ROWS - 1, ROWS - 1]  # the residuals' weighted square, less what the last step takes off it
+    for k in range(UNKNOWNS):
+        left -= H[ROWS - 1, k] * x[k]
+    noise2 = max(left, 1e-12) / max(weights - UNKNOWNS, 1.0)
+    unit, row = np.empty(UNKNOWNS), np.empty(8)
+    for a in range(8):
+        unit[:] = 0
+        unit[:8] = J[a]
+        solve(L, UNKNOWNS, unit, x)
+        for b in range(8):
+            row[b] = 0
+            for k in range(8):
+                row[b] += J[b, k] * x[k]
+        covariance[a] = noise2 * row
+    return math.sqrt(noise2)
+
+
+@kernel
+def _profile(points, greys, places, count, g, s, slope, tables, rows, light, limit, profile):
+    """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
+
+    rows : (2,) of tables (d, STEPS + 1, 2) and profile, of the X and of the Y edges
+    A bin is a distance from the edge in widths, negative on the dark side.
+    """
+    bins = profile.shape[1]
+    for k in range(count):
+        kind = places[k, 0]
+        if kind == 0:
+            continue
+        axis, sign = abs(kind) - 1, 1 if kind > 0 else -1
+        xi, yi = float(points[k, 0]), float(points[k, 1])
+        w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
+        X = (g[axis, 0] * xi + g[axis, 1] * yi + g[axis, 2]) * w
+        Xx, Xy = g[axis, 0] - X * g[2, 0], g[axis, 1] - X * g[2, 1]
+        Xu, Xv = Xx * slope[0, 0] + Xy * slope[1, 0], Xx * slope[0, 1] + Xy * slope[1, 1]
+        h = sign * (X - places[k, 1 + axis]) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
+        white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
+        at = int(math.floor((h / PROFILED + 1) * bins / 2))
+        p, e = edge(tables[rows[axis]], h)
+        share = (greys[k] - black) / (white - black) - p
+        if 0 <= at < bins and abs(share) * (white - black) < limit:
+            profile[rows[axis], at, 0] += 1
+            profile[rows[axis], at, 1] += share
+            profile[rows[axis], at, 2] += share * share
+
+
+@kernel
+def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, tables, levels, directions, width, iterations,
+                corners, covariances, results, status, profile):
+    """Fit every marker of an image.
+
+    image : flat float32, the boxes cut out one after the other from `starts` (m,); boxes : (m, 4) x0 y0 x1 y1 px
     lenses : (m, 2, 10) cubic polynomials from local pixel to local ideal coordinates; centres : (m, 3) x, y, scale px
-    cells : (m, n + 4, n + 4) 1 white, 0 black; margins : (m,) white margin in cells
-    G : (m, 3, 3) homography, local ideal to cell coordinates, first guess in, answer out; blur : (m,) px, likewise
-    results : (m, 6) out: noise (grey), contrast, pixels, share of them that count less, black, steps taken
-    covariances : (m, 15, 15) out, unknowns 0..7 the homography's, 8 the blur's; status : (m,) out
+    cells : (m, n + 4, n + 4) 1 white, 0 black; seen : (m, n + 4, n + 4, 16), their `outlook`; margins : (m,) white margin in cells
+    quads : (m, 4, 2) px, first guess in, straightened out; reach : px within which the sides are looked for, 0 for a better guess
+    wrong : cells that may be misread before a marker is not believed to be there, or -1 not to look
+    width : px, the edges' to start from; tables : (l + 1, d, STEPS + 1, 2) edge spread functions; levels : (l,) px between their widths
+    directions : (m, 2) which is that of the X and of the Y edges
+    corners : (m, 4, 2) out, px; covariances : (m, 8, 8) out, px^2; status : (m,) out
+    profile : (d, bins, 3) added to, what is left beside edges of each direction, see `_profile`; of no bins where it is not wanted
+    results : (m, 6) out: noise (grey), contrast, pixels, share of them that count less, width (px), steps taken
     """
-    p = np.empty(4)
-    J = np.empty(UNKNOWNS)
-    largest = 0
+    largest = 1
     for m in range(len(boxes)):
         largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
-    absolute = np.empty(largest)
+    points, greys, places = np.empty((2, largest, 2), np.float32), np.empty((2, largest), np.float32), np.empty((2, largest, 3), np.int32)
+    sizes, rows = np.empty(largest, np.float32), np.empty((ROWS, CHUNK), np.float32)
+    H, L, x, J = np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8))
+    g, light, slope = np.empty((3, 3)), np.empty(6), np.empty((2, 2))
     for m in range(len(boxes)):
-        x0, y0, x1, y1 = boxes[m]
-        cx, cy, scale = centres[m]
-        lens = lenses[m]
-        g = G[m]
-        s = blur[m]
-        light = np.zeros(6)
-        have_light = False
-        scatter = 1e9  # robust standard deviation of the residuals
+        box, lens, scale = boxes[m], lenses[m], centres[m, 2]
+        crop = image[starts[m] : starts[m] + (box[2] - box[0]) * (box[3] - box[1])].reshape(box[3] - box[1], box[2] - box[0])
+        if reach > 0:
+            straighten(crop, box, quads[m], n + 2, reach)
+        if wrong >= 0 and misread(crop, box, quads[m], cells[m]) > wrong:
+            status[m] = NOT_READ
+            continue
+        slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
+        s, lit, light[:] = width, False, 0
+        if not homography(quads[m], lens, centres[m], n, g) or not _corners(g, n, corners[m], J):
+            status[m] = WANDERED
+            continue
+        limit, away, collected, part, used, every = 1e9, 1e9, s, 0, 0, 1
         status[m] = UNSETTLED
-        half = (n + 2) / 2.0
-        mid = n / 2.0
         for iteration in range(iterations):
-            H = np.zeros((UNKNOWNS, UNKNOWNS))
-            b = np.zeros(UNKNOWNS)
-            count, total, weights, doubted = 0, 0.0, 0.0, 0
-            # the lens's and the homography's slope in the middle give the blur's shape, updated pixel by pixel for perspective
-            for y in range(y0, y1):
-                v = (y - cy) / scale
-                for x in range(x0, x1):
-                    u = (x - cx) / scale
-                    xi = lens[0, 0] + u * (lens[0, 1] + u * (lens[0, 3] + u * lens[0, 6])) + v * (
-                        lens[0, 2] + u * (lens[0, 4] + u * lens[0, 7]) + v * (lens[0, 5] + u * lens[0, 8] + v * lens[0, 9]))
-                    yi = lens[1, 0] + u * (lens[1, 1] + u * (lens[1, 3] + u * lens[1, 6])) + v * (
-                        lens[1, 2] + u * (lens[1, 4] + u * lens[1, 7]) + v * (lens[1, 5] + u * lens[1, 8] + v * lens[1, 9]))
-                    w = g[2, 0] * xi + g[2, 1] * yi + g[2, 2]
-                    if w < 1e-3:
-                        continue
-                    X = (g[0, 0] * xi + g[0, 1] * yi + g[0, 2]) / w
-                    Y = (g[1, 0] * xi + g[1, 1] * yi + g[1, 2]) / w
-                    outx = max(-1 - X, X - (n + 1))
-                    outy = max(-1 - Y, Y - (n + 1))
-                    if outx > margins[m] or outy > margins[m]:
-                        continue
-                    Xx, Xy = (g[0, 0] - X * g[2, 0]) / w, (g[0, 1] - X * g[2, 1]) / w
-                    Yx, Yy = (g[1, 0] - Y * g[2, 0]) / w, (g[1, 1] - Y * g[2, 1]) / w
-                    # lens slope at the marker's middle; perspective is followed exactly
-                    Xu, Xv = (Xx * lens[0, 1] + Xy * lens[1, 1]) / scale, (Xx * lens[0, 2] + Xy * lens[1, 2]) / scale
-                    Yu, Yv = (Yx * lens[0, 1] + Yy * lens[1, 1]) / scale, (Yx * lens[0, 2] + Yy * lens[1, 2]) / scale
-                    ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                    if outx > margins[m] - CLEAR * s * ax or outy > margins[m] - CLEAR * s * ay:
-                        continue
-                    if outx > REACH * s * ax or outy > REACH * s * ay:
-                        continue
-                    fx, fy = X - math.floor(X), Y - math.floor(Y)
-                    if min(fx, 1 - fx) > REACH * s * ax and min(fy, 1 - fy) > REACH * s * ay:
-                        continue
-                    rho = (Xu * Yu + Xv * Yv) / (ax * ay)
-                    _pattern(cells[m], n, X, Y, s * ax, s * ay, rho, p)
-                    xc, yc = (X - mid) / half, (Y - mid) / half
-                    grey = image[y, x]
-                    white = 1 - p[0]
-                    J[9], J[10], J[11] = p[0], p[0] * xc, p[0] * yc
-                    J[12], J[13], J[14] = white, white * xc, white * yc
-                    if have_light:
-                        r = grey - (light[0] * J[9] + light[1] * J[10] + light[2] * J[11]
-                                    + light[3] * J[12] + light[4] * J[13] + light[5] * J[14])
-                        amplitude = light[0] - light[3] + (light[1] - light[4]) * xc + (light[2] - light[5]) * yc
-                        dX, dY = amplitude * p[1] / w, amplitude * p[2] / w
-                        J[0], J[1], J[2] = dX * xi, dX * yi, dX
-                        J[3], J[4], J[5] = dY * xi, dY * yi, dY
-                        both = -(dX * X + dY * Y)
-                        J[6], J[7] = both * xi, both * yi
-                        J[8] = amplitude * p[3] / s
-                        weight, first = 1.0, 0
-                        if abs(r) > TRUSTED * scatter:
-                            weight = (TRUSTED * scatter / abs(r)) ** 3
-                            doubted += 1
-                        absolute[count] = abs(r)
-                    else:
-                        r, weight, first = grey, 1.0, 9
-                    count += 1
-                    weights += weight
-                    total += weight * r * r
-                    for i in range(first, UNKNOWNS):
-                        a = weight * J[i]
-                        b[i] += a * r
-                        for j in range(i, UNKNOWNS):
-                            H[i, j] += a * J[j]
-            if count < 40:
-                status[m] = NO_PIXELS
-                break
-            for i in range(UNKNOWNS):
-                for j in range(i):
-                    H[i, j] = H[j, i]
-            if not have_light:
-                for i in range(6):
-                    H[9 + i, 9 + i] *= 1 + 1e-9
-                    H[9 + i, 9 + i] += 1e-9
-                light[:] = np.linalg.solve(H[9:, 9:], b[9:])
-                have_light = True
-                if light[0] - light[3] < 1:
+            if away > STRAYED or s > WIDENED * collected:
+                if iteration > 0:
+                    to_image(lens, centres[m], quads[m], corners[m], covariances[m])
+                    quads[m] = corners[m]
+                count = edge_pixels(crop, box, quads[m], lens, centres[m], seen[m], n, margins[m], g, s, points[0], greys[0], places[0])
+                if count < 60:
+                    status[m] = NO_PIXELS
+                    break
+                away, collected, every = 0.0, s, max(count // SAMPLE, 1)
+                part = 1 if every > 1 else 0
+                for k in range(0, count if part else 0, every):
+                    points[1, k // every], greys[1, k // every], places[1, k // every] = points[0, k], greys[0, k], places[0, k]
+            used = (count + every - 1) // every if part else count
+            level = 0
+            while level < len(levels) and s > levels[level]:
+                level += 1
+            table_x, table_y = tables[level, directions[m, 0]], tables[level, directions[m, 1]]
+            weights, doubted = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
+                                           limit, rows, H, sizes)
+            if not lit:
+                lit = True
+                for k in range(6):
+                    H[9 + k, 9 + k] += 1e-9 * (1 + H[9 + k, 9 + k])
+                if factor(H, 9, 6, L):
+                    solve(L, 6, H[ROWS - 1, 9:], light)
+                if not light[0] - light[3] > 1:
                     status[m] = NO_CONTRAST
                     break
                 continue
-            trace = 0.0
-            for i in range(UNKNOWNS):
-                trace = max(trace, H[i, i])
-            for i in range(UNKNOWNS):
-                H[i, i] += 1e-12 * trace
-            step = np.linalg.solve(H, b)
-            if not np.isfinite(step).all():
-                status[m] = SINGULAR
+            moved, s_new, status_now = _step(H, g, s, light, n, scale, corners[m], J, x, L)
+            if status_now != OK:
+                status[m] = status_now
                 break
-            noise = math.sqrt(max(total / weights, 1e-12))
-            scatter = max(1.4826 * np.median(absolute[:count]), FINEST)
-            ds = min(max(step[8], -0.3 * s), 0.3 * s)
-            moved = 0.0
-            for k in range(4):  # how far the step moves the square's corners, in cells
-                X = -1.0 if k == 0 or k == 3 else n + 1.0
-                Y = -1.0 if k < 2 else n + 1.0
-                det, xi, yi = _back(g, X, Y)
-                if det <= 0:
+            widened, s = abs(s_new - s), s_new
+            away += moved
+            if part or limit > 1e8:
+                limit = TRUSTED * max(1.4826 * np.median(sizes[:used]), FINEST)
+            results[m, 1], results[m, 2], results[m, 3] = light[0] - light[3], used, doubted / used
+            results[m, 4], results[m, 5] = s, iteration
+            if part:
+                part = 0 if moved < NEAR and widened < 0.1 * s else 1
+            elif moved < NEAR and widened < 0.05 * s and away < STRAYED and s <= WIDENED * collected:
+                if not _corners(g, n, corners[m], J):
                     status[m] = WANDERED
                     break
-                w = g[2, 0] * xi + g[2, 1] * yi + g[2, 2]
-                dX = (step[0] * xi + step[1] * yi + step[2] - X * (step[6] * xi + step[7] * yi)) / w
-                dY = (step[3] * xi + step[4] * yi + step[5] - Y * (step[6] * xi + step[7] * yi)) / w
-                moved = max(moved, math.sqrt(dX * dX + dY * dY))
-            if status[m] == WANDERED:
+                results[m, 0] = _covariance(H, weights, J, x, L, covariances[m])
+                to_image(lens, centres[m], quads[m], corners[m], covariances[m])
+                status[m], width = OK, s
+                if profile.shape[1]:
+                    _profile(points[0], greys[0], places[0], count, g, s, slope, tables[level], directions[m], light, limit, profile)
                 break
-            short = min(1.0, 0.5 / max(moved, 1e-9))  # never more than half a cell at once
-            for i in range(8):
-                g[i // 3, i % 3] += short * step[i]
-            s = min(max(s + short * ds, 0.25), 6.0)
-            for i in range(6):
-                light[i] += step[9 + i]
-            results[m, 0], results[m, 1], results[m, 2] = noise, light[0] - light[3], count
-            results[m, 3], results[m, 4], results[m, 5] = doubted / count, light[3], iteration
-            if moved < 2e-4 and abs(ds) < 2e-3 * s and iteration > 3:
-                covariances[m] = np.linalg.inv(H) * noise * noise * (weights / max(weights - UNKNOWNS, 1.0))
-                status[m] = OK
-                break
-        blur[m] = s
-
-
-@njit(cache=True, fastmath=True)
-def _back(g, X, Y):
-    """Local ideal coordinates of cell coordinates; the first figure is positive where the square has not flipped over."""
-    a, b, c = g[0, 0] - X * g[2, 0], g[0, 1] - X * g[2, 1], X * g[2, 2] - g[0, 2]
-    d, e, f = g[1, 0] - Y * g[2, 0], g[1, 1] - Y * g[2, 1], Y * g[2, 2] - g[1, 2]
-    det = a * e - b * d
-    if abs(det) < 1e-12:
-        return -1.0, 0.0, 0.0
-    xi, yi = (c * e - b * f) / det, (a * f - c * d) / det
-    return det * (g[2, 0] * xi + g[2, 1] * yi + g[2, 2]), xi, yi

@@ -11,7 +11,7 @@ from rig.design import FACES, Marker
 from rig.pose import transform_points
 
 _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
-_SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # corners 0..3, clockwise from the top left
+SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # corners 0..3, clockwise from the top left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class MarkerMap:
     corners: np.ndarray = field(init=False)
 
     def __post_init__(self):
-        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * _SQUARE))
+        object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
 
     def rows(self, ids):
         """Row of each identity (n,) -> (n,); -1 for one that no target has."""

@@ -153,20 +153,27 @@ def tangents(planes, signatures):
                 step = {"inverse": 1e-3 / size, "log": 1e-3, "size": 1e-2 * size, "phase": 1e-3, "even": 1e-5, "frequency": 1e-8}.get(
                     p.role, 1e-2 * size)
                 coordinates.append(Coordinate(number, p.name, index, p.role, step))
-    for c in coordinates:
-        effect = k.effects[c.effect]
-        at = c.read(effect)
-        both = [tuple(c.written(e, at + s * c.step) if i == c.effect else e for i, e in enumerate(k.effects)) for s in (1, -1)]
-        if effect.stage in ("targets", "view") and c.role == "linear" and type(effect).mount is Effect.mount:
-            length = len(getattr(effect, c.name)) if c.index is not None else None
-            parameter = next(p for p in effect.parameters if p.name == c.name)
-            rows, quads = signatures.derivative(type(effect), effect.place, c.name, c.index, c.step, length if not parameter.size else None)
-            parts.append(planes.fold(signatures.corners(rows, quads[..., None])))
-        elif effect.stage in ("targets", "view"):
-            parts.append(planes.fold(((k.pixels(both[0]) - k.pixels(both[1])) / (2 * c.step))[..., None]))
-        else:
-            parts.append(Column(None, planes.whitened(((k.effective(both[0]) - k.effective(both[1])) / (2 * c.step))[..., None])))
+    for number, effect in enumerate(k.effects):
+        own = [c for c in coordinates if c.effect == number]
+        if effect.stage in ("targets", "view") and type(effect).mount is Effect.mount and own:
+            pixels = [signatures.corners(*_still(effect, c, signatures)) for c in own]
+            parts.append(planes.fold(np.concatenate(pixels, axis=2)))
+            continue
+        for c in own:
+            both = [k.effects[:number] + (c.written(effect, c.read(effect) + s * c.step),) + k.effects[number + 1 :] for s in (1, -1)]
+            if effect.stage in ("targets", "view"):
+                parts.append(planes.fold(((k.pixels(both[0]) - k.pixels(both[1])) / (2 * c.step))[..., None]))
+            else:
+                parts.append(Column(None, planes.whitened(((k.effective(both[0]) - k.effective(both[1])) / (2 * c.step))[..., None])))
     return coordinates, joined(parts, len(planes.image), planes.local.shape[1], planes.frames)
+
+
+def _still(effect, c, signatures):
+    """(sightings, (s, 4, 2, 1) px per unit) of a linear parameter of a view effect that is the same in every frame."""
+    parameter = next(p for p in effect.parameters if p.name == c.name)
+    length = len(getattr(effect, c.name)) if c.index is not None and not parameter.size else None
+    rows, quads = signatures.derivative(type(effect), effect.place, c.name, c.index, c.step, length)
+    return rows, quads[..., None]
 
 
 def joined(parts, rows, local, frames):

@@ -11,8 +11,8 @@ def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("--poses", metavar="FILE", type=Path, required=True, help="frame,x,y,z,rx,ry,rz of the wanted poses")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="frame,l1..l6 to command")
-    parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses beyond the strut range")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="frame,l1..l6 (an arm: q1..qn) to command")
+    parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
 
 
@@ -22,24 +22,28 @@ def run(arguments):
 
     from calib import store
     from calib.correction import reachable
-    from rig import mechanisms, writing
+    from rig import writing
     from rig import recording as recordings
 
     correction = store.load(arguments.calibration).correction
     wanted = recordings.load_poses(arguments.poses)
     out = fresh_file(arguments.out)
-    if arguments.uncorrected:
-        commands = mechanisms.of(correction.nominal).inverse(wanted.T_base_platform, correction.nominal)
-    else:
-        commands = correction.inverse(wanted.T_base_platform)
-    keep = np.ones(len(commands), bool)
-    try:
-        reachable(commands, correction.nominal, [f"frame {frame}" for frame in wanted.frame])
-    except Unreachable as error:
-        if not arguments.skip_unreachable:
-            raise
-        keep[error.index] = False
-        print(f"rig correct: {error}\nleft out, as asked", file=sys.stderr)
-    rows = [",".join([str(frame), *(f"{length:.10f}" for length in lengths)]) for frame, lengths in zip(wanted.frame[keep], commands[keep])]
+    keep, refused = np.arange(len(wanted.frame)), []
+    while len(keep):  # first what no command reaches, then what lies beyond the limits
+        T = wanted.T_base_platform[keep]
+        try:
+            commands = correction.uncorrected(T) if arguments.uncorrected else correction.inverse(T)
+            reachable(commands, correction.nominal, [f"pose {i}" for i in range(len(keep))])
+            break
+        except Unreachable as error:
+            refused += [(int(wanted.frame[keep[i]]), line.split(": ", 1)[1]) for i, line in zip(error.index, error.violations)]
+            keep = np.delete(keep, error.index)
+    if refused:
+        message = Unreachable(f"{len(refused)} of {len(wanted.frame)} wanted poses cannot be reached:", [frame for frame, _ in refused],
+                              [f"frame {frame}: {line}" for frame, line in sorted(refused)])
+        if not arguments.skip_unreachable or not len(keep):
+            raise message
+        print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
+    rows = [",".join([str(frame), *(f"{length:.10f}" for length in lengths)]) for frame, lengths in zip(wanted.frame[keep], commands)]
     writing.write_table(out, ("frame", *correction.nominal.axes), rows)
-    print(f"{keep.sum()} of {len(keep)} poses written to {out}")
+    print(f"{len(keep)} of {len(wanted.frame)} poses written to {out}")

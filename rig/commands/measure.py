@@ -11,6 +11,8 @@ def arguments(parser):
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html")
     parser.add_argument("--hold", metavar="WHAT", default="", help="hold 'poses', 'lenses' or 'poses,lenses' of the cameras as stated")
+    parser.add_argument("--places", choices=("auto", "stated", "free"), default="auto", help="places of the markers on their bodies: as stated, "
+                        "adjusted too, or (auto) adjusted where the stated ones contradict what is seen")
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
 
 
@@ -18,7 +20,7 @@ def run(arguments):
     """Measure a recording and write what was measured."""
     from rig import recording as recordings
     from rig import writing
-    from rig.design_file import with_cameras
+    from rig.design_file import with_cameras, with_places
     from rig.pose import vector
 
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
@@ -29,23 +31,49 @@ def run(arguments):
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page
+    from vision.crossvalidate import crossvalidate
+    from vision.determined import determined
+    from vision.places import listed, places
     from vision.recorded import measure_recording
 
-    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress())
-    text = (recording.folder / "rig.toml").read_text(encoding="utf-8-sig")
-    writing.write_text(out / "rig.toml", with_cameras(text, measured.design.cameras))
+    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress(), arguments.places)
+    held, statement = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment).lines()
+    moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
+    text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
+    writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures)
-    measurement_page(out / "report.html", recording, measured, collected)
+    measurement_page(out / "report.html", recording, measured, collected, moved, statement)
     position, rotation = uncertainty(measured.covariance)
     total = len(recording.exposures.times()[0])
     print(f"{len(measured.frames)} of {total} frames solved, {measured.inliers.sum()} of {len(measured.inliers)} corners used; "
           f"corners scatter by {measured.noise:.4f} px")
     print(f"standard uncertainty of a pose (RMS): {position * 1e3:.4f} mm, {rotation * 1e3:.4f} mrad")
     for stated, camera in zip(recording.design.cameras, measured.design.cameras):
-        moved = vector(stated.pose.inv() * camera.pose)
-        print(f"camera {camera.name}: {(moved[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(moved[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
+        step = vector(stated.pose.inv() * camera.pose)
+        print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
+    print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
+          f"{held.rms:.3f} px RMS over {held.corners} corners")
+    for line in statement:
+        print(line)
+    if moved:
+        _print_places(moved)
     print_unsolved(measured)
     print(f"written: {out}/poses.csv, corners.csv, rig.toml; look at {out}/report.html")
+
+
+def _print_places(moved):
+    """Print what adjusting the markers' places did."""
+    import numpy as np
+
+    print("places of the markers adjusted: x y z in mm, rx ry rz in mrad, along the marker's own axes, with 95 % intervals")
+    for move in moved.moves:
+        values = [f"{by * 1e3:+8.3f} +- {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)]
+        print(f"  {move.name:12} {'moved' if move.moved else 'stays'} " + " ".join(values))
+    for name, value in (("as stated", moved.before), ("as adjusted", moved.after)):
+        print(f"residual of the platform per frame, places {name}: median {np.median(value):.3f}, 95 % {np.quantile(value, 0.95):.3f}, "
+              f"max {value.max():.3f} px RMS per axis")
+    print(f"squares over degrees of freedom, all corners by their scatter: {moved.weighted[0]:.2f} as stated, {moved.weighted[1]:.2f} as adjusted")
+    print(f"frames flipped against those before and after: {', '.join(map(str, moved.odd)) or 'none'}")

@@ -56,14 +56,20 @@ def fresh_file(path, source=None):
 
 def print_comparison(held, title):
     """Print a HeldOut as a table in mm and mrad."""
-    names = ("RMS", "95 %", "max")
+    names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held.after.n}:")
-    print(f"{'':14}{'position, mm':>30}{'rotation, mrad':>33}")
+    print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
     print(f"{'':14}" + "".join(f"{name:>10}" for name in names) + "   " + "".join(f"{name:>10}" for name in names))
     for name, figures in (("owner's model", held.before), ("corrected", held.after)):
-        print(f"{name:14}" + "".join(f"{v * 1e3:10.4f}" for v in figures.position) + "   " + "".join(f"{v * 1e3:10.4f}" for v in figures.rotation))
+        position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
+        print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
+    rotation = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
     print(f"{held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses themselves are "
-          f"uncertain by {held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad")
+          f"uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
+
+
+def _cell(value):
+    return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
 
 
 def print_unsolved(measured):

@@ -37,7 +37,7 @@ def run(arguments):
     same = used == calibration.provenance["inputs_sha256"]
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
     if arguments.json:
-        print(json.dumps(_verification(held, same, sampled, driven), indent=1))
+        print(json.dumps(store.nulls(_verification(held, same, sampled, driven)), indent=1))
         return
     if same:
         print("warning: the calibration was made from this very recording, so these figures are not held out", file=sys.stderr)
@@ -54,6 +54,7 @@ def run(arguments):
 
 def _driven(calibration, recording, samples, wanted):
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
+    from calib.arms import certify
     from calib.certificate import figures, model_covariance, uncertainty
     from rig.pose import difference
 
@@ -61,14 +62,17 @@ def _driven(calibration, recording, samples, wanted):
     if len(frames) != len(wanted.frame):
         raise RigError(f"{len(wanted.frame)} poses were wanted, but the recording has {len(frames)} frames")
     T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
-    stated = samples.total_covariance() + model_covariance(calibration, T)
+    arm = calibration.correction.nominal.kind == "arm"
+    of_model = certify.model_covariance(calibration, samples.commanded) if arm else model_covariance(calibration, T)
+    stated = samples.total_covariance() + of_model
     return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
 
 
 def _verification(held, same, sampled, driven):
     def side(figures):
-        names = ("rms", "p95", "max")
-        return {"position": dict(zip(names, figures.position)), "rotation": dict(zip(names, figures.rotation)), "bias": figures.bias}
+        names = ("rms", "p95", "max", "mean")
+        position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])
+        return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
 
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
     tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "n": held.after.n,

@@ -2,9 +2,9 @@
 
 import sys
 
-from tests.bench import absent, forward, parameters, way
+from tests.bench import absent, arms, corners, forward, lens, parameters, way
 
-ALL = {"way": way, "forward": forward, "absent": absent, "parameters": parameters}
+ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms}
 
 
 def main():

@@ -1,5 +1,6 @@
 """The adjustment: its Jacobian, its optimum, its gauge, and what it leaves alone."""
 
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,11 +8,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
-from rig.pose import difference, exp
+from rig.pose import difference, exp, log
 from tests.vision.scenes import known, scene
-from vision import adjust as adjusting
 from vision.adjust import adjust
+from vision.determined import determined
+from vision.normal import linearise
 from vision.predict import State, predict
+from vision.targets import marker_map
+from vision.unknowns import TERM_PRIOR, aligned, move, offset, unknowns
 
 
 @pytest.fixture(scope="module")
@@ -29,43 +33,86 @@ def whitened(observations, state):
     return (W @ (observations.uv - predict(observations, state)[0])[..., None])[..., 0]
 
 
+EVERYTHING = ("poses", "lenses", "markers", "targets")
+
+
+def with_markers(state, design, size=1e-3):
+    """The state with markers whose places are off by `size` (m, and five times as many rad)."""
+    markers = marker_map(design)
+    xi = size * np.random.default_rng(5).normal(size=(len(markers.id), 6)) * [1, 1, 1, 5, 5, 5]
+    return replace(state, markers=replace(markers, T_body_marker=markers.T_body_marker * exp(xi)))
+
+
+@pytest.mark.parametrize("free", [("poses", "lenses"), EVERYTHING, ("markers",), ("targets",)])
 @pytest.mark.parametrize("moving", [False, True])
-def test_jacobian_agrees_with_differences(setting, moving):
+def test_jacobian_agrees_with_differences(setting, moving, free):
     observations, stated, true, T = setting
-    state = start(stated, true, T)
+    state = with_markers(start(stated, true, T), stated)
     if moving:
-        state = State(state.cameras, state.platform, {1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
-    layout = adjusting._layout(observations, state, ("poses", "lenses"))
+        state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance))
-    _, blocks = adjusting._linearise(observations, state, layout, W)
+    u, estimate = unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
     rng = np.random.default_rng(1)
-    shared, local = rng.normal(size=layout.shared), rng.normal(size=(6, layout.local))
+    estimate = move(estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local)))  # not where moves are still zero
+    _, found = linearise(observations, estimate, u, W)
+    shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
-    up, down = (whitened(observations, adjusting._move(state, layout, s * h * shared, s * h * local)) for s in (1, -1))
+    up, down = (whitened(observations, move(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1))
     expected = np.zeros_like(up)
-    for i, (first, J) in blocks.items():
-        own, common = adjusting._columns(i, layout)
-        rows = slice(first, first + len(J))
-        step = np.concatenate([local[observations.frame[rows]][:, own], np.tile(shared[common], (len(J), 1))], axis=1)
-        expected[rows] = (J @ step[..., None])[..., 0]
+    for d in found.values():
+        frame, marker = observations.frame[d.rows], observations.marker[d.rows]
+        expected[d.rows] = (d.own @ local[frame][:, d.own_columns, None])[..., 0] + (d.shared @ shared[d.shared_columns[marker]][..., None])[..., 0]
     np.testing.assert_allclose(-(up - down) / (2 * h), expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
 
-def test_optimum_equals_scipys(setting):
+@pytest.mark.parametrize("free", [("poses", "lenses"), EVERYTHING])
+def test_optimum_equals_scipys(setting, free):
     observations, stated, true, T = setting
-    state = start(stated, true, T)
-    result = adjust(observations, state)
-    layout = adjusting._layout(observations, state, ("poses", "lenses"))
+    observations = observations.take((observations.frame < 3) & (observations.camera < 2))
+    state = replace(start(stated, true, T), markers=marker_map(stated))
+    result = adjust(observations, state, free)
+    u, estimate = unknowns(observations, result.state, state, free)
 
     def residual(p):
-        moved = adjusting._move(result.state, layout, p[: layout.shared], p[layout.shared :].reshape(6, 6))
-        offset = adjusting._lens_offset(moved.cameras, state.cameras, layout) / layout.scale
-        return np.r_[whitened(observations, moved).ravel(), (layout.prior * offset)[layout.prior > 0]]
+        moved = move(estimate, u, u.basis @ p[: u.basis.shape[1]], p[u.basis.shape[1] :].reshape(6, 6))
+        return np.r_[whitened(observations, moved.state).ravel(), (u.prior * offset(moved, state, u))[u.prior > 0]]
 
-    zero = np.zeros(layout.shared + 36)
-    other = least_squares(residual, zero, method="trf", x_scale="jac", max_nfev=5)
+    zero = np.zeros(u.basis.shape[1] + 36)
+    other = least_squares(residual, zero, method="trf", x_scale="jac", max_nfev=2)
     assert result.cost == pytest.approx(2 * other.cost, rel=1e-6)
     assert np.abs(residual(zero)).sum() > 0
+
+
+def test_markers_and_targets_off_their_places_are_found(setting):
+    """Bodies' frames stay where the stated places hold them; what moved is found within its stated uncertainty."""
+    observations, stated, true, T = setting
+    true_state = with_markers(start(stated, true, T), stated, 3e-4)
+    uv, _ = predict(observations, true_state)
+    noise = 0.04 * np.random.default_rng(2).normal(size=uv.shape)
+    shifted = replace(observations, uv=uv + noise, covariance=np.tile(0.04**2 * np.eye(2), (len(uv), 1, 1)))
+    state = replace(start(stated, true, T, seed=3), markers=marker_map(stated))
+    result = adjust(shifted, state, ("poses", "lenses", "markers"))
+    assert result.cost / result.dof == pytest.approx(1, abs=4 * np.sqrt(2 / result.dof))
+    found, before, seen = result.state.markers, state.markers, result.unknowns.seen
+    for on in (False, True):
+        rows = seen[before.on_platform[seen] == on]
+        gone = (found.corners - before.corners)[rows].reshape(-1, 3)
+        arms = before.corners[rows].reshape(-1, 3)
+        assert np.abs(gone.sum(axis=0)).max() < 1e-12 and np.abs(np.cross(found.corners[rows].reshape(-1, 3), arms).sum(axis=0)).max() < 1e-12
+    freed = adjust(shifted, true_state, ("poses", "lenses", "markers"), stated=state)  # another start, the same optimum
+    np.testing.assert_allclose(freed.state.markers.corners[seen], found.corners[seen], atol=1e-7)
+    shift = {on: aligned(true_state.markers.corners[rows].reshape(-1, 3), before.corners[rows].reshape(-1, 3)) for on in (False, True)
+             for rows in [seen[before.on_platform[seen] == on]]}
+    columns = np.concatenate([np.arange(c.start, c.stop) for c in result.unknowns.markers.values()])
+    scale = result.unknowns.scale[columns]
+    errors = np.concatenate([log((shift[bool(before.on_platform[row])] * true_state.markers.T_body_marker[row]).inv() * found.T_body_marker[row])
+                             for row in result.unknowns.markers]) / scale
+    values, vectors = np.linalg.eigh(result.shared_covariance[np.ix_(columns, columns)] / np.outer(scale, scale))
+    free = values > 1e-12 * values.max()
+    assert free.sum() == len(columns) - 12  # the datums take six of each body
+    assert np.mean((vectors.T @ errors)[free] ** 2 / values[free]) == pytest.approx(1, abs=4 * np.sqrt(2 / free.sum()))
+    fits = adjust(shifted, state, ("poses", "lenses", "targets"))
+    assert fits.cost > 2 * result.cost and all(row not in fits.unknowns.markers for row in seen)
 
 
 def test_what_is_held_stays(setting):
@@ -105,7 +152,10 @@ def test_a_term_that_nothing_shows_stays_put(setting):
     sigma = dict(zip(result.shared_names, np.sqrt(np.diag(result.shared_covariance))))
     for before, after in zip(state.cameras, result.state.cameras):
         assert abs(after.distortion[4] - before.distortion[4]) < 0.05
-        assert sigma[after.name, "k3"] == pytest.approx(adjusting.TERM_PRIOR["k3"], rel=0.05)
+        assert sigma[after.name, "k3"] == pytest.approx(TERM_PRIOR["k3"], rel=0.05)
+    weak = determined(result).undetermined
+    assert {name for _, names in weak for name in names} >= {f"{camera.name} k3" for camera in state.cameras}
+    assert "not determined by this recording" in "\n".join(determined(result).lines())
 
 
 def test_moving_camera_is_found_in_every_frame(setting):
@@ -126,4 +176,6 @@ def test_too_few_corners_are_refused(setting):
 def test_free_takes_what_it_knows(setting):
     observations, stated, true, T = setting
     with pytest.raises(ValueError, match="poses"):
+        adjust(observations, start(stated, true, T), free=("faces",))
+    with pytest.raises(ValueError, match="markers"):
         adjust(observations, start(stated, true, T), free=("targets",))

@@ -11,6 +11,7 @@ from rig.design import DICTIONARIES, Marker, Target
 from rig.pose import pose
 from vision import lens
 from vision.detect import detect, place
+from vision.predict import expected
 from vision.targets import marker_map
 from tests.vision.pictures import SIZE, camera, picture, quad
 
@@ -145,3 +146,74 @@ def test_a_kind_of_image_that_is_none_is_refused(design):
 def test_an_empty_image_shows_nothing(design):
     found = detect(np.full((SIZE, SIZE), 80, np.uint8), camera(), sheet(design))
     assert found.corners.shape == (0, 4, 2) and found.covariance.shape == (0, 8, 8)
+
+
+def cube_scene(design, at, dictionary=NAME):
+    """(camera, marker map, pose expected, image) of one sheet on the platform, drawn where a pose puts it."""
+    view = camera()
+    listed = (Marker(3, 0.06, pose([0, 0, 0.9], [np.pi - 0.4, 0.2, 0.3]), 0.008), Marker(4, 0.06, pose([0.5, 0, 0.9], [np.pi, 0, 0]), 0.008))
+    markers = marker_map(replace(design, targets=(Target("t", "platform", dictionary, listed=listed),)))
+    _, (corners,) = expected(view, at, markers)
+    image = picture(corners, dictionary, 3) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))
+    return view, markers, corners, np.clip(image, 0, 255).astype(np.uint8)
+
+
+def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
+    here = pose([0, 0, 0], [0, 0, 0])
+    view, markers, corners, image = cube_scene(design, here)
+    whole = detect(image, view, markers)
+    monkeypatch.setattr("vision.detect._detector", lambda name: pytest.fail("the whole image was searched"))
+    for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
+        found = detect(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))
+        assert found.marker.tolist() == [3]
+        np.testing.assert_allclose(found.corners, whole.corners, atol=0.01)
+
+
+@pytest.mark.parametrize("spoil", ["another pose", "another marker", "nothing there"])
+def test_what_is_not_where_it_is_expected_is_searched_for(design, spoil):
+    here = pose([0, 0, 0], [0, 0, 0])
+    view, markers, corners, image = cube_scene(design, here)
+    if spoil == "another pose":
+        found = detect(image, view, markers, T_base_platform=pose([0.03, 0.02, 0], [0, 0, 0.2]))
+        assert found.marker.tolist() == [3]
+        np.testing.assert_allclose(found.corners[0], corners, atol=0.05)
+    elif spoil == "another marker":
+        image = np.clip(picture(corners, NAME, 4), 0, 255).astype(np.uint8)
+        found = detect(image, view, markers, T_base_platform=here)
+        assert found.marker.tolist() == [4]
+    else:
+        assert not len(detect(np.full_like(image, 80), view, markers, T_base_platform=here).marker)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 400), (3, 3)])
+def test_images_too_small_for_anything_show_nothing(design, shape):
+    assert not len(detect(np.full(shape, 90, np.uint8), camera(), sheet(design)).marker)
+
+
+@pytest.mark.slow
+def test_no_identity_in_noise(design):
+    """10 000 images of noise, white and smooth, of many contrasts: no marker is placed."""
+    rng = np.random.default_rng(0)
+    markers, view = sheet(design, ids=range(100)), camera(size=160)
+    for k in range(10_000):
+        image = cv2.GaussianBlur(rng.normal(0, 1, (160, 160)), (0, 0), rng.uniform(0.3, 6)) if k % 3 else rng.normal(0, 1, (160, 160))
+        image = np.clip(128 + rng.uniform(20, 120) * image / image.std(), 0, 255).astype(np.uint8)
+        found = detect(image, view, markers)
+        assert not len(found.marker), (k, found.marker)
+
+
+@pytest.mark.parametrize("spoil, atol", [
+    (lambda image, rng: cv2.GaussianBlur(image, (0, 0), 1.3), 0.05),
+    (lambda image, rng: image * 0.12 + 3 + rng.normal(0, 0.5, image.shape), 0.1),
+    (lambda image, rng: image * 0.5 + 60 * (1 + np.sin(2.1 * np.arange(image.shape[1]))) / 2, 0.4),  # the stripes of a screen
+])
+def test_blurred_dark_and_striped_markers_are_right_or_left_out_with_a_reason(design, spoil, atol):
+    rng = np.random.default_rng(10)
+    corners = quad(rng, side=70, tilt=0.3)
+    image = np.clip(np.rint(spoil(picture(corners, NAME, 6), rng)), 0, 255).astype(np.uint8)
+    found = detect(image, camera(), sheet(design))
+    if len(found.marker):
+        assert found.marker.tolist() == [6]
+        np.testing.assert_allclose(found.corners[0], corners, atol=atol)
+    else:
+        assert found.left_out and found.left_out[0][0] == 6

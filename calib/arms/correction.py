@@ -1,0 +1,94 @@
+"""The corrected arm: what a command will really give, and what to command for a wanted pose.
+
+Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on), and the
+configuration-space patent for the summands on top.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.correction import Correction
+from rig.errors import Unreachable
+from rig.mechanisms import arm as mechanism
+from rig.pose import difference
+
+NEAR = 4  # visited configurations tried as a start before any other
+ITERATIONS = 40
+TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
+STEP = 0.3  # rad; longest single correction
+RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is looked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmCorrection(Correction):
+    """nominal, fitted : Arm, bases and tools in the instrument's frames; remainder : per joint a Profile or None
+    visited : (n, joints) rad, configurations it was fitted to: a wanted pose is taken as they took it, elbow and wrist alike."""
+
+    visited: np.ndarray
+
+    def summand(self, commands):
+        """KSF (..., joints) rad at commands: commanded less what the owner's model says for the pose that it gives."""
+        return commands - mechanism.inverse(self.predict(commands), self.nominal, commands)
+
+    def uncorrected(self, T_base_platform):
+        """Commands (..., joints) rad that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
+        return mechanism.inverse(T_base_platform, self.nominal, self._near(T_base_platform)[:, 0])
+
+    def inverse(self, T_base_platform, guess=None):
+        """Commands (..., joints) rad that give wanted poses (...); limits are for `reachable` to check.
+
+        guess : (..., joints) rad, what is near; by default the nearest visited configurations
+        The joint solution of the owner's model is the start; all errors but the joints' own are made up for by J^+ dPOS near the
+        wanted pose, iterated; the joints' own errors are simply added, last.
+        Raises Unreachable with the index of poses that no start leads to
+        """
+        shape = T_base_platform.shape
+        T = T_base_platform.reshape(-1) if len(shape) != 1 else T_base_platform
+        n = len(self.nominal.joints)
+        starts = self._near(T) if guess is None else np.broadcast_to(guess, (*shape, n)).reshape(-1, n)[:, None]
+        commands, left = np.full((len(T), n), np.nan), np.full(len(T), np.inf)
+        for k in range(starts.shape[1] + 1):
+            todo = np.flatnonzero((left > TOLERANCE) | (mechanism.limits(commands, self.nominal) != 0).any(axis=1))
+            if not len(todo):
+                break
+            start = starts[todo, min(k, starts.shape[1] - 1)]
+            q, reached = mechanism.solve(T[todo], self.nominal, start, starts=0 if k < starts.shape[1] else mechanism.STARTS)
+            q, reached = self._compensate(T[todo], np.where((reached < 0.05)[:, None], q, start))
+            better = (reached <= TOLERANCE) | (reached < left[todo])
+            commands[todo[better]], left[todo[better]] = q[better], reached[better]
+        failed = np.flatnonzero(left > TOLERANCE)
+        if len(failed):
+            raise Unreachable(f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:", failed,
+                              [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
+        return commands.reshape(*shape, n)
+
+    def _compensate(self, T, q):
+        """(commands, left): from joint solutions q (m, n) of the owner's model, by differential error transforms."""
+        offset = self.fitted.rows[:, 0] - self.nominal.rows[:, 0]
+        rest = replace(self.fitted, joints=np.column_stack([self.nominal.rows[:, :1], self.fitted.rows[:, 1:]]))
+        left = np.full(len(q), np.inf)
+        best = q
+        for _ in range(ITERATIONS):
+            error = difference(mechanism.forward(q - self.rho(q - offset), rest), T)
+            size = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
+            best, left = np.where((size < left)[:, None], q, best), np.minimum(size, left)
+            if (left < 0.1 * TOLERANCE).all():
+                break
+            J = mechanism.jacobian(q, rest)
+            damping = (size**2 + 1e-14)[:, None, None] * np.eye(6)
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[..., 0]
+            q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
+        commands = best - offset
+        return mechanism.wrapped(commands, self.nominal, commands), left
+
+    def _near(self, T):
+        """(m, NEAR, joints) visited configurations whose poses are nearest to T (m,), nearest first."""
+        at = self.predict(self.visited)
+        vectors, matrices = at.translation, at.rotation.as_matrix()
+        out = []
+        for position, R in zip(T.translation, T.rotation.as_matrix()):
+            turn = np.arccos(np.clip((np.einsum("mij,ij->m", matrices, R) - 1) / 2, -1, 1))
+            far = np.linalg.norm(vectors - position, axis=1) + RADIUS * turn
+            out.append(self.visited[np.argsort(far)[:NEAR]])
+        return np.array(out).reshape(len(T), -1, self.visited.shape[1])

@@ -1,0 +1,163 @@
+"""An arm's parameters from what an instrument saw: Hayati's model by iterated, robust least squares, with a rank report.
+
+The six steps of the source: start from the nominal figures; linearise (rows B x = b, eq. 4.65); least squares; correct the
+figures; repeat until the step is small; the errors are what was changed. Around that, weights: scatter beyond the
+instrument's own is found from the residuals, observations that do not agree are left out.
+Source: lecture on the manipulator Jacobian, eqs 4.63-4.65 and steps (1)-(6); counts 4 n + 3 and 4 n + 6 there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arms import model
+from calib.arms.rank import Rank, independent
+from rig.design import Arm
+from rig.errors import NotEnoughData, RigError
+
+PARALLEL = np.radians(5)  # neighbouring axes nearer to parallel than this take beta for d
+MAX_ITERATIONS = 60
+CONVERGED = 1e-10  # m and rad; largest step
+ROUNDS = 12  # of weighing anew; one that still wavers then stays as it was
+SETTLED = 1e-3  # share by which the scatter may still change
+GATE = 6.0  # standard deviations beyond which an observation is left out
+EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts as the arm's
+FARTHEST = 0.1  # m; an owner's model that misses by more is of another arm, or stands elsewhere
+LONGEST_STEP = 0.5  # m and rad, of one iteration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """What a fit of an arm found, p = 12 + 5 n parameters in the order of calib.arms.model.
+
+    arm : Arm with the fitted geometry, base and tool; covariance : (p, p), 0 where held; free : (p,) bool
+    rank : Rank, which columns depend and were held; shared : (j,) draw of the common errors
+    residuals : (m, k) what is left, common errors taken out; scatter : (k,) m and rad beyond the instrument's own, per component
+    (one figure for positions, one for rotations); inliers : (m,) bool; iterations : steps taken in all
+    """
+
+    arm: Arm
+    covariance: np.ndarray
+    free: np.ndarray
+    rank: Rank
+    shared: np.ndarray
+    residuals: np.ndarray
+    scatter: np.ndarray
+    inliers: np.ndarray
+    iterations: int
+
+
+def parameters(arm, kind):
+    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances.
+
+    Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a row's two
+    axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them is undefined.
+    """
+    n = len(arm.joints)
+    free = np.ones((n, 5), bool)
+    rows = arm.rows
+    parallel = np.abs(np.cos(rows[:, 3]) * np.cos(rows[:, 4])) > np.cos(PARALLEL)
+    free[:, 1], free[:, 4] = ~parallel, parallel
+    free[0, :2] = False
+    free[-1] = False
+    base, tool = np.ones(6, bool), np.ones(6, bool)
+    if n > 1 and parallel[0]:
+        base[2] = False  # the base along axis 1 is d 2 along the parallel axis 2
+    if kind != "pose":
+        tool[3:] = False
+    if kind == "distance":
+        base[3:] = False
+    return np.concatenate([base, free.ravel(), tool])
+
+
+def identify(observations, nominal, free=None):
+    """Identified : the parameters that explain the observations.
+
+    observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.arms.place)
+    free : (p,) bool, the parameters to fit, those of `parameters` by default
+    Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not settle
+    """
+    free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
+    k = observations.residuals(nominal).shape[1]
+    if k * len(observations) <= free.sum():
+        raise NotEnoughData(f"{len(observations)} observations give {k * len(observations)} equations, too few for {free.sum()} parameters")
+    far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
+    if far > FARTHEST:
+        raise RigError(f"what was measured is {far * 1e3:.0f} mm (median) from where the owner's model has it: are these the joint angles of these "
+                       "poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
+    inliers, arm, total = np.ones(len(observations), bool), nominal, 0
+    scatter = _scatter(observations.residuals(nominal), observations, inliers, 0)  # cautious weights first, the instrument's when earned
+    for _ in range(ROUNDS):
+        arm, rank, fit, iterations = _settle(observations, arm, free, inliers, scatter)
+        total += iterations
+        new_scatter = _scatter(fit.left, observations, inliers, rank.free.sum())
+        new_inliers = _inliers(fit.left, observations, new_scatter)
+        if k * new_inliers.sum() <= free.sum():
+            raise NotEnoughData(f"only {new_inliers.sum()} of {len(observations)} observations agree with one geometry")
+        if (new_inliers == inliers).all() and np.allclose(new_scatter, scatter, rtol=SETTLED, atol=1e-12):
+            break
+        inliers, scatter = new_inliers, new_scatter
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(rank.free, rank.free)] = fit.covariance
+    return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    step: np.ndarray
+    shared: np.ndarray
+    covariance: np.ndarray
+    left: np.ndarray
+
+
+def _settle(observations, arm, free, inliers, scatter):
+    """Gauss-Newton for given weights: (Arm, Rank, the last linear solve, steps taken)."""
+    W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
+    B = W @ observations.jacobian(arm)[inliers]
+    rank = independent(B.reshape(-1, B.shape[-1]), free, model.names(arm), model.units(arm))
+    for iteration in range(MAX_ITERATIONS):
+        r, J = observations.residuals(arm), observations.jacobian(arm)
+        fit = _solve(r, J[..., rank.free], observations.common, W, inliers)
+        step = np.zeros(len(free))
+        step[rank.free] = fit.step / max(1.0, np.abs(fit.step).max() / LONGEST_STEP)
+        arm = model.moved(arm, step)
+        if np.abs(step).max() < CONVERGED:
+            return arm, rank, fit, iteration + 1
+    raise RigError(f"the arm's parameters did not settle in {MAX_ITERATIONS} steps (last step {np.abs(step).max():.3g} m or rad): "
+                   "are the joint angles those of these poses, and is [mechanism] joints near the truth?")
+
+
+def _solve(r, J, common, W, inliers):
+    """One weighted least squares, the common errors solved for with the parameters."""
+    count = common.shape[2]
+    M = (W @ np.concatenate([J, common], axis=2)[inliers]).reshape(-1, J.shape[2] + count)
+    prior = np.zeros((count, J.shape[2] + count))
+    prior[:, J.shape[2] :] = np.eye(count)
+    right = np.concatenate([(W @ r[inliers][..., None]).ravel(), np.zeros(count)])
+    stacked = np.concatenate([M, prior])
+    scale = np.linalg.norm(stacked, axis=0)
+    Q, R = np.linalg.qr(stacked / scale)
+    solution = np.linalg.solve(R, Q.T @ right) / scale
+    half = np.linalg.inv(R) / scale[:, None]
+    shared = solution[J.shape[2] :]
+    left = r - np.einsum("mki,i->mk", J, solution[: J.shape[2]]) - np.einsum("mkj,j->mk", common, shared)
+    return _Fit(solution[: J.shape[2]], shared, (half @ half.T)[: J.shape[2], : J.shape[2]], left)
+
+
+def _scatter(left, observations, inliers, fitted):
+    """(k,) scatter beyond the instrument's own: one figure for the three positions, one for the three rotations."""
+    out = np.zeros(left.shape[1])
+    freedom = max(1 - fitted / (inliers.sum() * left.shape[1]), 0.1)
+    own = np.einsum("mkk->mk", observations.covariance)[inliers]
+    for part in (slice(0, 3), slice(3, 6)):
+        if left[:, part].shape[1]:
+            seen, stated = (left[inliers][:, part] ** 2).mean() / freedom, own[:, part].mean()
+            if seen > stated * (1 + EXCESS * np.sqrt(2 / left[inliers][:, part].size)):
+                out[part] = np.sqrt(seen - stated)
+    return out
+
+
+def _inliers(left, observations, scatter):
+    sigma = np.sqrt(np.einsum("mkk->mk", observations.covariance) + scatter**2)
+    scale = np.maximum(1.0, 1.4826 * np.median(np.abs(left / sigma), axis=0))
+    return (np.abs(left) < GATE * scale * sigma).all(axis=1)

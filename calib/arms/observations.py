@@ -1,0 +1,95 @@
+"""What an instrument says about an arm's target: whole poses, positions, or one distance, as rows for least squares."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.arms import model
+
+KINDS = {"pose": 6, "position": 3, "distance": 1}  # rows that one observation gives
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """m observations of one arm by one instrument.
+
+    kind : "pose" (laser tracker with a 6D probe, CMM, vision), "position" (tracker with a reflector, CMM touching a ball) or
+    "distance" (a drawn wire; it runs from the origin of the frame of poses to the target)
+    q : (m, n) rad, commanded
+    value : RigidTransform (m,), (m, 3) m or (m,) m
+    covariance : (m, k, k) of an observation's own error, k = 6 (tangent on the right), 3 (frame of poses) or 1, m and rad
+    common : (m, k, j) factor of errors that all share (error = common z + own, z ~ N(0, I)); j = 0 where there are none
+    """
+
+    kind: str
+    q: np.ndarray
+    value: RigidTransform | np.ndarray
+    covariance: np.ndarray
+    common: np.ndarray
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
+        k, m = KINDS[self.kind], len(self.q)
+        if self.covariance.shape != (m, k, k) or self.common.shape[:2] != (m, k):
+            raise ValueError(f"expected covariance ({m}, {k}, {k}) and common ({m}, {k}, j), got {self.covariance.shape} and {self.common.shape}")
+
+    def __len__(self):
+        return len(self.q)
+
+    def take(self, index):
+        """The observations of an index or mask (m,)."""
+        return Observations(self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index])
+
+    def residuals(self, arm):
+        """(m, k): observed less predicted."""
+        if self.kind == "pose":
+            return model.residuals(self.q, self.value, arm)
+        position = model.predicted(self.q, arm).translation
+        if self.kind == "position":
+            return self.value - position
+        return (self.value - np.linalg.norm(position, axis=-1))[:, None]
+
+    def jacobian(self, arm):
+        """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
+        return self._rows(model.parameter_jacobian(self.q, arm), arm)
+
+    def joint_jacobian(self, arm):
+        """(m, k, n) change of what is predicted with the joint angles."""
+        return self._rows(model.joint_jacobian(self.q, arm), arm)
+
+    def _rows(self, J, arm):
+        if self.kind == "pose":
+            return J
+        T = model.predicted(self.q, arm)
+        J = T.rotation.as_matrix() @ J[:, :3]
+        if self.kind == "position":
+            return J
+        u = T.translation / np.linalg.norm(T.translation, axis=-1, keepdims=True)
+        return u[:, None, :] @ J
+
+
+def of_samples(samples):
+    """Observations of Samples: whole poses, or positions where rotations were not measured (their variance is infinite)."""
+    if np.isfinite(samples.covariance).all():
+        return of_poses(samples)
+    return of_positions(samples.commanded, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
+
+
+def of_poses(samples):
+    """Observations of Samples: whole poses, with their covariance and their common errors."""
+    return Observations("pose", samples.commanded, samples.T_base_platform, samples.covariance, samples.common)
+
+
+def of_positions(q, positions, sigma):
+    """Observations of target positions (m, 3) m at joint angles q (m, n), standard deviation sigma (m, one or m) per axis."""
+    variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
+    return Observations("position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3),
+                        np.zeros((len(q), 3, 0)))
+
+
+def of_distances(q, distances, sigma):
+    """Observations of a drawn wire's lengths (m,) m at joint angles q (m, n), standard deviation sigma (m)."""
+    return Observations("distance", np.asarray(q, float), np.asarray(distances, float), np.full((len(q), 1, 1), sigma**2),
+                        np.zeros((len(q), 1, 0)))

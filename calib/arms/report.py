@@ -1,0 +1,68 @@
+"""The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
+
+import html
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib.arms import model
+from calib.certificate import errors_of
+from calib.report import coverage, flat, page, table
+
+
+def calibration_page(path, recording, calibration, samples, done):
+    """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
+    held = done.held_out
+    floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
+    rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
+                                                ("corrected, random rows", done.scattered.after))]
+    parts = [f"<p>Held-out poses (a third at a time, whole stretches in turn, N = {held.after.n}): the mean position error falls from "
+             f"<b>{held.before.mean[0] * 1e3:.3f} mm</b> to <b>{held.after.mean[0] * 1e3:.4f} mm</b>; by RMS {held.ratio[0]:.1f} times (95 % "
+             f"interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}). The measured poses themselves are uncertain by {floor}. "
+             "Rows drawn at random flatter: their neighbours in time were fitted.</p>",
+             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
+             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _errors(calibration, samples),
+             "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
+             _profiles(calibration, samples), "<h2>Where the target went</h2>", coverage(np.concatenate(
+                 [samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)),
+             "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
+             "<h2>Where this came from</h2>", table(("what", "value"), flat(calibration.provenance))]
+    page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+
+
+def _figures(f):
+    return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
+
+
+def _errors(calibration, samples):
+    before, after = errors_of(calibration.correction, samples)
+    figure = Figure(figsize=(11, 3), layout="constrained")
+    seen = [(part, label) for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad")) if np.isfinite(after[:, part]).all()]
+    for axes, (part, label) in zip(np.ravel(figure.subplots(1, len(seen))), seen):
+        for errors, name in ((before, "owner's model"), (after, "corrected")):
+            axes.semilogy(samples.frame, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=3, label=name)
+        axes.set(xlabel="frame", ylabel=label)
+        axes.legend(fontsize=8)
+    return figure
+
+
+def _profiles(calibration, samples):
+    q = samples.commanded
+    rho = calibration.correction.rho(q)
+    count = q.shape[1]
+    figure = Figure(figsize=(11, 2.4 * -(-count // 3)), layout="constrained")
+    for i in range(count):
+        axes = figure.add_subplot(-(-count // 3), 3, i + 1)
+        axes.plot(np.degrees(q[:, i]), rho[:, i] * 1e3, ".", ms=2)
+        axes.set(title=f"joint {i + 1}", xlabel="commanded, degrees", ylabel="correction, mrad")
+    return figure
+
+
+def _parameters(calibration):
+    fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
+    sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
+    change = fitted.rows - nominal.rows
+    rows = [(f"row {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" if s else "held" for c, s in zip(change[i], sigma[i])))
+            for i in range(len(change))]
+    units = [f"{name}, {'mm' if unit == 'm' else 'mrad'}" for name, unit in zip(model.ROW, model.units(fitted)[6:11])]
+    return table(("change from nominal (k = 2)", *units), rows)

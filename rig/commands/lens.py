@@ -1,0 +1,74 @@
+"""rig lens IMAGES --board BOARD."""
+
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_folder
+from rig.errors import RigError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("images", metavar="IMAGES", type=Path, nargs="+", help="photographs of the board, or a folder of them")
+    parser.add_argument("--board", required=True, help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
+                        "charuco:5x7:0.036:0.018:DICT_6X6_250, or aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)")
+    parser.add_argument("--legacy", action="store_true", help="the charuco's first square holds a marker (boards of OpenCV before 4.6, even rows)")
+    parser.add_argument("--name", default="cam0", help="the camera's name in the block (%(default)s)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml")
+
+
+def run(arguments):
+    """Calibrate one camera and print its block for rig.toml; what is said of it goes to the error output."""
+    import sys
+    from dataclasses import replace
+
+    from vision.board import parse
+
+    board = replace(parse(arguments.board), legacy=arguments.legacy)
+    paths = _paths(arguments.images)
+    if not arguments.name or not arguments.name.isprintable() or '"' in arguments.name or "\\" in arguments.name:
+        raise RigError(f"--name {arguments.name!r} is no name for a camera")
+    out = fresh_folder(arguments.out) if arguments.out else None
+
+    from calib.lens_page import lens_page
+    from rig.design_file import camera_block
+    from vision.photographs import calibrate_photographs
+
+    found = calibrate_photographs(paths, board, arguments.name, Progress())
+    block = camera_block(found.fit.camera)
+    for path, reason in found.left_out:
+        print(f"left out: {path}: {reason}", file=sys.stderr)
+    print(f"{len(found.used)} of {len(paths)} photographs, {found.fit.inliers.sum()} of {len(found.fit.inliers)} corners of the board",
+          file=sys.stderr)
+    print(f"{'lens model':>22} {'fitted':>9} {'held out':>9}   RMS px per axis, every photograph in turn predicted from the others", file=sys.stderr)
+    for terms, line in found.models.items():
+        held = f"{line.rms:9.4f} {line.held.rms:9.4f}" if line.held else f"{line.reason}"
+        print(f"{_model(terms):>22} {held}{'   <- taken' if terms == found.fit.terms else ''}", file=sys.stderr)
+    print(f"projection known to {found.middle:.3f} px in the middle of the frame, {found.worst:.3f} px at worst (standard uncertainty)",
+          file=sys.stderr)
+    print(block, end="")
+    if out:
+        (out / "camera.toml").write_text(block, encoding="utf-8")
+        lens_page(out / "lens.html", found)
+        print(f"written: {out}/camera.toml; look at {out}/lens.html", file=sys.stderr)
+
+
+def _model(terms):
+    return f"{terms} distortion terms" if terms else "no distortion"
+
+
+def _paths(given):
+    """Photographs named, or lying in a folder named. Raises RigError for what is not there and for a folder without any."""
+    paths = []
+    for path in given:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
+            if not inside:
+                raise RigError(f"{path}: no photographs in this folder ({', '.join(SUFFIXES)})")
+            paths += inside
+        elif path.exists():
+            paths.append(path)
+        else:
+            raise RigError(f"{path}: no such file or folder")
+    return paths

@@ -1,0 +1,163 @@
+"""Serial arm of any number of joints: pose of joint angles, geometric Jacobian, and joint angles of a pose, numerically.
+
+Distal Denavit-Hartenberg with Hayati's extra turn: A_i = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta).
+Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter estimation, CDC 1983.
+"""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.errors import Unreachable
+
+TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
+GOOD = 1e-10  # m and rad; what counts as solved: a pose given to 1e-12 at the edge of the reach keeps 1e-6 rad of play
+MAX_ITERATIONS = 80
+STARTS = 40  # random configurations tried where the guess leads nowhere
+REACH = 1.0  # m; a radian counts like so much
+
+
+def frames(q, arm):
+    """(..., n + 2, 4, 4) homogeneous frames in the frame of poses: the arm's frames 0..n, then the platform.
+
+    q : (..., n) rad. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or angles not finite
+    """
+    q = np.asarray(q, float)
+    if q.shape[-1:] != (len(arm.joints),) or not np.isfinite(q).all():
+        raise ValueError(f"expected finite joint angles (..., {len(arm.joints)}) rad, got shape {q.shape}")
+    out = np.empty((*q.shape[:-1], len(arm.joints) + 2, 4, 4))
+    out[..., 0, :, :] = arm.base.as_matrix()
+    links = link(q, arm.rows.T)
+    for i in range(q.shape[-1]):
+        np.matmul(out[..., i, :, :], links[..., i, :, :], out=out[..., i + 1, :, :])
+    out[..., -1, :, :] = out[..., -2, :, :] @ arm.tool.as_matrix()
+    return out
+
+
+def link(q, row):
+    """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
+    theta, d, a, alpha, beta = row
+    ct, st = np.cos(q + theta), np.sin(q + theta)
+    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    A = np.zeros((*np.shape(q), 4, 4))
+    A[..., 0, 0], A[..., 0, 1], A[..., 0, 2], A[..., 0, 3] = ct * cb - st * sa * sb, -st * ca, ct * sb + st * sa * cb, a * ct
+    A[..., 1, 0], A[..., 1, 1], A[..., 1, 2], A[..., 1, 3] = st * cb + ct * sa * sb, ct * ca, st * sb - ct * sa * cb, a * st
+    A[..., 2, 0], A[..., 2, 1], A[..., 2, 2], A[..., 2, 3] = -ca * sb, sa, ca * cb, d
+    A[..., 3, 3] = 1
+    return A
+
+
+def forward(q, arm, guess=None):
+    """T_base_platform : RigidTransform (...) of joint angles q (..., n) rad. guess : unused. Raises ValueError as `frames`."""
+    return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
+
+
+def jacobian(q, arm, axes="platform"):
+    """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per joint.
+
+    q : (..., n) rad; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
+    Source: Whitney 1972; the columns are z x (p - o) over z
+    """
+    if axes not in ("platform", "base"):
+        raise ValueError(f"axes must be 'platform' or 'base', not {axes!r}")
+    return geometric(frames(q, arm), axes)
+
+
+def geometric(matrices, axes="platform"):
+    """(..., 6, n) Jacobian of frames (..., n + 2, 4, 4) as `frames` gives them."""
+    z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
+    J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
+    if axes == "platform":
+        R = matrices[..., -1, :3, :3]
+        J = np.concatenate([J[..., :3] @ R, J[..., 3:] @ R], axis=-1)
+    return np.swapaxes(J, -1, -2)
+
+
+def limits(q, arm):
+    """How far joint angles (..., n) lie outside the limits: (..., n) rad, negative below, positive above, 0 inside."""
+    low, high = arm.limits.T
+    return np.minimum(q - low, 0) + np.maximum(q - high, 0)
+
+
+def inverse(T_base_platform, arm, guess=None):
+    """Joint angles (..., n) rad of a pose, within the limits where such are found, near the guess where that leads there.
+
+    T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad, the middle of the limits by default
+    Raises Unreachable with the index of poses to which no start leads, and how near (m, rad) the arm comes
+    """
+    q, left = solve(T_base_platform, arm, guess)
+    failed = np.flatnonzero(np.ravel(left) > GOOD)
+    if len(failed):
+        lines = [f"pose {i}: the arm comes no nearer than {np.ravel(left)[i]:.3g} m or rad" for i in failed]
+        raise Unreachable(f"{len(failed)} of {left.size} poses are out of the arm's reach:", failed, lines)
+    return q
+
+
+def solve(T_base_platform, arm, guess=None, starts=STARTS, seed=0):
+    """(q (..., n) rad, left (...) m or rad): damped least squares from the guess, then from random starts.
+
+    left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
+    A solution outside the limits is only given where no start leads to one inside.
+    Source: Sugihara, Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method, T-RO 2011 (the damping)
+    """
+    target = T_base_platform.as_matrix()
+    shape, n = target.shape[:-2], len(arm.joints)
+    target = target.reshape(-1, 4, 4)
+    guess = arm.limits.mean(axis=1) if guess is None else np.asarray(guess, float)
+    best = np.broadcast_to(guess, (*shape, n)).reshape(-1, n).copy()
+    guess = best.copy()
+    left, outside = np.full(len(best), np.inf), np.ones(len(best), bool)
+    rng = np.random.default_rng(seed)
+    trying = best.copy()
+    for _ in range(starts + 1):
+        todo = np.flatnonzero((left > GOOD) | outside)
+        if not len(todo):
+            break
+        q, error = _descend(trying[todo], target[todo], arm)
+        q = wrapped(q, arm, guess[todo])
+        out = (np.abs(limits(q, arm)) > 0).any(axis=1)
+        solved, had = error <= GOOD, left[todo] <= GOOD
+        better = np.where(solved & had, outside[todo] & ~out, np.where(solved | had, solved, error < left[todo]))
+        best[todo[better]], left[todo[better]], outside[todo[better]] = q[better], error[better], out[better]
+        trying = rng.uniform(arm.limits[:, 0], arm.limits[:, 1], best.shape)
+    return best.reshape(*shape, n), left.reshape(shape)
+
+
+def wrapped(q, arm, near):
+    """Angles (..., n) shifted by whole turns to the nearest of near (..., n) that the limits allow."""
+    low, high = arm.limits.T
+    turn = 2 * np.pi
+    q = q - turn * np.round((q - near) / turn)
+    q = np.where(q > high, q - turn * np.ceil((q - high) / turn), q)
+    q = np.where(q < low, q + turn * np.ceil((low - q) / turn), q)
+    return np.where(q > high, q - turn * np.round((q - near) / turn), q)
+
+
+def _descend(q, target, arm):
+    """(q, error): Levenberg-Marquardt on the pose error of a flat batch, damped by the error's own size."""
+    q = q.copy()
+    error = np.full(len(q), np.inf)
+    going = np.arange(len(q))
+    for _ in range(MAX_ITERATIONS):
+        chain = frames(q[going], arm)
+        e = _twist(chain[:, -1], target[going])
+        error[going] = np.maximum(np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1))
+        rest = error[going] > TOLERANCE
+        if not rest.any():
+            break
+        going, chain, e = going[rest], chain[rest], e[rest]
+        J = geometric(chain)
+        damping = 0.5 * (e**2).sum(axis=1) + 1e-15  # vanishes with the error's square, so the end is Newton's
+        if J.shape[-1] <= 6:
+            step = np.linalg.solve(np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(J.shape[-1]),
+                                   np.swapaxes(J, 1, 2) @ e[..., None])[..., 0]
+        else:
+            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6), e[..., None]))[..., 0]
+        q[going] += step / np.maximum(1.0, np.abs(step).max(axis=1) / REACH)[:, None]
+    return q, error
+
+
+def _twist(now, target):
+    """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken separately."""
+    R = np.swapaxes(now[:, :3, :3], 1, 2)
+    move = (R @ (target[:, :3, 3:] - now[:, :3, 3:]))[..., 0]
+    return np.concatenate([move, Rotation.from_matrix(R @ target[:, :3, :3]).as_rotvec()], axis=1)

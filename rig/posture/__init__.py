@@ -1,0 +1,1 @@
+"""Postures of redundant arms for feeling and making force: measures, searches in the null space, wrenches, motions."""

@@ -1,0 +1,59 @@
+"""Getting into a posture: with the hand already there and standing still, or on the way there.
+
+Source: patent on force measurement with redundant manipulators, [0021], [0022].
+"""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Slerp
+
+from rig.errors import RigError
+from rig.mechanisms import arm as mechanism
+from rig.posture import search
+
+STEPS = 200  # of a motion on the way
+NEAR = 1e-9  # rad; end of a motion
+
+
+def at_the_end(q, goal, arm):
+    """(k, n) rad: the self-motion from q (n,) to goal (n,), hand held still. Raises RigError where none within the limits leads there."""
+    if np.abs(goal - q).max() < NEAR:
+        return np.array([q])
+    path = search.trace(q, arm)
+    start = int(np.abs(path - q).max(axis=1).argmin())
+    far = np.linalg.norm(path - goal, axis=1)
+    stop = int(far.argmin())
+    if far[stop] > 2 * search.TRACE:
+        raise RigError(f"no motion of the elbow alone leads to the posture: it comes no nearer than {np.degrees(far[stop]):.2f} degrees; "
+                       "take it on the way")
+    rows = path[start : stop + 1] if stop >= start else path[stop : start + 1][::-1]
+    return np.vstack([rows, goal])
+
+
+def on_the_way(q, goal, arm, steps=STEPS):
+    """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal meanwhile.
+
+    What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the joint limits
+    or passes too near a singularity to be followed
+    """
+    start, end = mechanism.forward(q, arm), mechanism.forward(goal, arm)
+    share = np.linspace(0, 1, steps + 1)
+    turns = Slerp([0, 1], type(start.rotation).concatenate([start.rotation, end.rotation]))(share)
+    hands = RigidTransform.from_components(start.translation + share[:, None] * (end.translation - start.translation), turns).as_matrix()
+    rows = [np.array(q, float)]
+    for k in range(1, steps + 1):
+        now = rows[-1][None]
+        pull = (search.null_space(now, arm, "pose")[0] @ (goal - now[0])) / (steps - k + 1)
+        new = search.bring_back(now + pull, hands[k : k + 1], arm, "pose")
+        beyond = mechanism.limits(new[0], arm)
+        if search.left(new, hands[k : k + 1], arm, "pose")[0] > 1e-9 or np.abs(new - now).max() > 0.5:
+            raise RigError(f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there")
+        if beyond.any():
+            j = int(np.abs(beyond).argmax())
+            raise RigError(f"the straight way leaves the limits of joint {j + 1} at {share[k]:.0%} of it")
+        rows.append(new[0])
+    return np.vstack([rows, at_the_end(rows[-1], goal, arm)[1:]])
+
+
+def timed(rows, speed):
+    """(k,) s at which rows (k, n) rad are reached when the fastest joint turns at speed (rad/s)."""
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(rows, axis=0)).max(axis=1) / speed, 1e-6))])

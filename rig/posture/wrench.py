@@ -1,0 +1,57 @@
+"""Force and moment at the hand from joint torques: the pseudo-inverse of J^T, what it leaves uncertain, what it cannot feel.
+
+Source: patent on force measurement with redundant manipulators, [0009]-[0012]: expected torques of weight and motion are taken
+from the measured ones; what is left is J^T f.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.mechanisms import arm as mechanism
+from rig.mechanisms import dynamics
+from rig.posture.measure import DIRECTIONS
+
+FELT = 1e-6  # of the largest singular value; a wrench that shows less in the torques is not felt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wrench:
+    """value : (..., 6) fx fy fz (N), mx my mz (Nm) on the hand, at its origin, in the axes of poses; covariance : (..., 6, 6)
+    left : (...,) chi-square of what no wrench explains, with n - 6 degrees of freedom"""
+
+    value: np.ndarray
+    covariance: np.ndarray
+    left: np.ndarray
+
+
+def external(measured, q, speed, acceleration, arm, links, gravity):
+    """(..., n) Nm: joint torque sensors' readings less what weight and motion explain, with the sign of tau = J^T f.
+
+    measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of dynamics.torques
+    """
+    return dynamics.torques(q, speed, acceleration, arm, links, gravity) - measured
+
+
+def estimate(external_torques, q, arm, covariance):
+    """Wrench that explains the external torques (..., n) Nm at joint angles q (..., n) rad.
+
+    covariance : (n, n) or (..., n, n) Nm^2 of the torques, sensors and what is not known of weight and motion together; torques
+    are whitened by it, so that with equal sensors this is the plain pseudo-inverse of J^T
+    Raises RigError where a posture does not feel some wrench, naming it: take another posture first
+    """
+    J = mechanism.jacobian(q, arm, "base")
+    W = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(covariance, (*J.shape[:-2], J.shape[-1], J.shape[-1]))))
+    A = W @ np.swapaxes(J, -1, -2)
+    U, S, V = np.linalg.svd(A, full_matrices=False)
+    blind = np.flatnonzero(np.ravel(S[..., -1] < FELT * S[..., 0]) if A.shape[-2] >= 6 else np.ones(S[..., 0].size))
+    if len(blind):
+        wrench = V.reshape(-1, *V.shape[-2:])[blind[0], -1]
+        named = ", ".join(f"{name} {part:+.2f}" for name, part in zip(DIRECTIONS, wrench) if abs(part) > 0.05)
+        raise RigError(f"{len(blind)} of {S[..., 0].size} postures do not feel every wrench; posture {blind[0]} is blind to ({named})")
+    inverse = np.swapaxes(V, -1, -2) @ (np.swapaxes(U, -1, -2) / S[..., None])
+    white = (W @ np.asarray(external_torques, float)[..., None])[..., 0]
+    value = (inverse @ white[..., None])[..., 0]
+    left = white - (A @ value[..., None])[..., 0]
+    return Wrench(value, inverse @ np.swapaxes(inverse, -1, -2), (left**2).sum(axis=-1))

@@ -1,0 +1,153 @@
+"""Lenses and places: chessboard corners beside OpenCV's, the adjustment beside SciPy's, the tumbling block, the sheet of 250."""
+
+import contextlib
+import io
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import RigidTransform
+
+from rig import design_file, layout, recording
+from rig.design import Camera
+from rig.pose import exp
+from tests.conftest import SHARED
+from tests.vision.scenes import scene
+from vision import board as boards
+from vision.adjust import adjust
+from vision.calibration import calibrate, hold_out, observations_of
+from vision.crossvalidate import crossvalidate
+from vision.detect import detect
+from vision.measure import measure
+from vision.observations import from_corners
+from vision.places import places
+from vision.predict import State, predict
+from vision.targets import MarkerMap, marker_map
+from vision.unknowns import move, offset, unknowns
+
+BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
+FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adjust
+EVERYTHING = ("poses", "lenses", "markers", "targets")
+
+
+def rows():
+    """Yield (figure, reached, wanted)."""
+    yield from _chessboard()
+    yield from _sheet()
+    yield from _adjustment()
+    yield from _block()
+
+
+def _chessboard():
+    board = boards.parse(BOARD)
+    theirs = cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch, board.side,
+                                                              cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))))
+    images = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((SHARED / "photos" / "charuco").glob("*.png"))]
+    height, width = images[0].shape
+    K = [[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]]
+    camera = Camera("cam0", width, height, K, np.zeros(5), RigidTransform.identity())
+    ours, opencv, found, there = [], [], 0, 0
+    for image in images:
+        view = boards.see(image, board, camera)
+        corners, ids, _, _ = theirs.detectBoard(image)
+        ids, corners = ids.ravel(), corners.reshape(-1, 2).astype(float)
+        both = np.intersect1d(ids, view.corner)
+        found, there = found + len(view.corner), there + len(ids)
+        even = np.tile(0.01 * np.eye(2), (len(both), 1, 1))  # all corners weigh alike, theirs as ours
+        ours.append(boards.BoardView(both, view.uv[np.searchsorted(view.corner, both)], even, ()))
+        opencv.append(boards.BoardView(both, np.array([corners[ids == k][0] for k in both]).reshape(-1, 2), even, ()))
+    yield f"photos/charuco, {len(images)} photographs: corners found, ours / OpenCV's", f"{found} / {there}", ""
+    seen = [observations_of(views, board) for views in (ours, opencv)]
+    for terms in (4, 5):
+        fits = [calibrate(o, width, height, terms) for o in seen]
+        for name, inliers in (("inliers of both", fits[0].inliers & fits[1].inliers), ("every common corner", np.ones(len(seen[0]), bool))):
+            held = [hold_out(o, width, height, terms, inliers).rms for o in seen]
+            yield (f"photos/charuco: held out, {terms} terms, {inliers.sum()} corners ({name}), ours / OpenCV's ChArUco",
+                   f"{held[0]:.4f} / {held[1]:.4f} px = {held[0] / held[1]:.3f}", "< 1")
+
+
+def _sheet():
+    image = cv2.imread(str(SHARED / "photos" / "aruco-250.jpg"), cv2.IMREAD_UNCHANGED)
+    height, width = image.shape[:2]
+    markers = MarkerMap(np.arange(250), np.zeros(250, bool), RigidTransform.from_matrix(np.tile(np.eye(4), (250, 1, 1))), np.full(250, 0.02),
+                        np.full(250, 0.003), ["DICT_6X6_250"] * 250, ["sheet"] * 250)
+    camera = Camera("cam0", width, height, [[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]], np.zeros(5),
+                    RigidTransform.identity())
+    found = detect(image, camera, markers)
+    place = np.stack([found.marker // 20, -(found.marker % 20)], axis=1).astype(float)  # columns of twenty, from the lowest up
+    middle = found.corners.mean(axis=1)
+    H, _ = cv2.findHomography(place, middle, cv2.RANSAC, 20.0)
+    off = np.linalg.norm(cv2.perspectiveTransform(place[:, None], H)[:, 0] - middle, axis=1)
+    pitch = np.linalg.norm(found.corners[:, 1] - found.corners[:, 0], axis=1).mean()
+    right = off < pitch / 4
+    yield ("photos/aruco-250.jpg: markers found and where the sheet has them, false ones", f"{len(set(found.marker[right].tolist()))} of 250, "
+           f"{(~right).sum()} false", "250 of 250, none false")
+
+
+def _adjustment():
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        path.write_text(layout.layout(0.3, cameras=3, width=1280, height=1024, cubes=4))
+        design = design_file.load(path)
+    observations, stated, _, T = scene(design, 1, frames=380)
+    observations = replace(observations, covariance=np.tile(0.04**2 * np.eye(2), (len(observations), 1, 1)))  # the noise that it was drawn with
+    start = State(stated.cameras, T * exp(1e-3 * np.random.default_rng(0).normal(size=(len(T), 6))), {}, marker_map(design))
+    spent, busy = [], []
+    for _ in range(3):
+        begun, worked = time.perf_counter(), time.process_time()
+        result = adjust(observations, start, EVERYTHING)
+        spent.append(time.perf_counter() - begun)
+        busy.append(time.process_time() - worked)
+    yield (f"adjustment of everything, 380 frames x 3 cameras, {len(observations)} corners, {result.unknowns.shared} shared unknowns, median of 3",
+           f"{np.median(spent):.2f} s ({np.median(busy):.2f} s of processor)", "<= 4 s")
+    held = crossvalidate(observations, result)
+    yield "held-out stretches: residuals over the covariance predicted for them", f"{held.ratio:.3f} +- {2 * held.scatter:.3f}", "1"
+    few = observations.take(observations.frame < FEW)
+    few, start = replace(few, frames=few.frames[:FEW]), start.at(np.arange(FEW))
+    mine = adjust(few, start, EVERYTHING)
+    yield (f"the same problem, {FEW} frames: cost that SciPy's least_squares finds from our optimum on, relative difference",
+           f"{abs(mine.cost / _scipys(few, mine, start) - 1):.1e}", "<= 1e-6")
+
+
+def _scipys(observations, adjusted, state):
+    """Cost at which SciPy's trust region, its Jacobian by differences, ends from our optimum on. state : State as stated."""
+    u, estimate = unknowns(observations, adjusted.state, state, EVERYTHING)
+    whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
+    k, frames = u.basis.shape[1], len(observations.frames)
+
+    def residual(p):
+        moved = move(estimate, u, u.basis @ p[:k], p[k:].reshape(frames, u.local))
+        seen = (whitener @ (observations.uv - predict(observations, moved.state)[0])[..., None]).ravel()
+        return np.r_[seen, (u.prior * offset(moved, state, u))[u.prior > 0]]
+
+    return 2 * least_squares(residual, np.zeros(k + frames * u.local), method="trf", x_scale="jac", max_nfev=3).cost
+
+
+def _block():
+    from rig.cli import main
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        begun = time.perf_counter()
+        main(["measure", str(SHARED / "recordings" / "tumbling-block"), "--out", folder])
+        seconds = time.perf_counter() - begun
+    block = recording.load(SHARED / "recordings" / "tumbling-block")
+    frames, t = block.exposures.times()
+    markers = marker_map(block.design)
+    observed = from_corners(block.corners, frames, block.design, markers)
+    plain, free = (measure(observed, block.design, markers, groups, t=t) for groups in (("lenses",), ("lenses", "markers")))
+    found, held = places(free, t), crossvalidate(free.used(), free.adjustment)
+    yield "tumbling-block: frames solved, places as stated / as adjusted", f"{len(plain.frames)} / {len(free.frames)} of {len(frames)}", ""
+    yield ("tumbling-block: residual of the block per frame, median RMS, places as stated / as adjusted",
+           f"{np.median(found.before):.3f} / {np.median(found.after):.3f} px", "reported")
+    yield ("tumbling-block: squares over degrees of freedom, by each frame's scatter, stated / adjusted",
+           f"{found.weighted[0]:.2f} / {found.weighted[1]:.2f}", "")
+    yield "tumbling-block: held-out stretches, residuals over predicted", f"{held.ratio:.3f} +- {2 * held.scatter:.3f}", "1"
+    largest = max(found.moves, key=lambda one: np.linalg.norm(one.by[:3]))
+    by = np.linalg.norm(largest.by[:3]) * 1e3
+    yield f"tumbling-block: tags that moved; farthest {largest.name}", f"{sum(m.moved for m in found.moves)} of {len(found.moves)}; {by:.2f} mm", ""
+    yield "tumbling-block: frames flipped", f"{len(found.odd)}", "0"
+    yield "tumbling-block: rig measure, start included", f"{seconds:.0f} s", ""

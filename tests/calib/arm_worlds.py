@@ -1,0 +1,66 @@
+"""Secret arms: errors drawn on nominal figures, seen by a tracker, a ball on the hand, cameras or a drawn wire."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.arms import model, observations
+from calib.samples import Samples
+from rig.design import Instrument
+from rig.pose import exp, pose, vector
+from rig.recording import POSE_COLUMNS
+from rig.writing import write_table
+from tests.rig.arms import configurations
+
+TRACKER = Instrument("free", "free", 2e-5, 1e-4)
+BASE, TOOL = pose([1.2, -0.8, 0.4], [0.1, -0.2, 2.0]), pose([0.03, -0.04, 0.12], [0.5, -1.0, 0.3])
+
+
+def secret(nominal, rng, size=1.0, parallel=1e-4):
+    """An Arm with errors of 0.3 mm and 1 mrad on every row, axes that are parallel by design askew by `parallel` rad, placed
+    somewhere: a maker's figures and the real thing."""
+    rows = nominal.rows + size * np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0]) * rng.normal(size=(len(nominal.joints), 5))
+    flat = np.abs(np.cos(nominal.rows[:, 3])) > 0.999
+    rows[flat, 3] = nominal.rows[flat, 3] + parallel * rng.uniform(-1, 1, flat.sum())
+    rows[flat, 4] = parallel * rng.uniform(-1, 1, flat.sum())
+    return replace(nominal, joints=rows, base=BASE * exp(1e-3 * rng.normal(size=6)), tool=TOOL * exp(1e-3 * rng.normal(size=6)))
+
+
+def configurations_of(arm, count, rng):
+    return configurations(arm, count, rng, 0.5)
+
+
+def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None):
+    """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command."""
+    q = configurations_of(nominal, count, rng)
+    scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
+    T = model.predicted(q if deviation is None else q + deviation(q), true)
+    T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))
+    factor = np.tile(np.diag(shared)[:, shared > 0], (count, 1, 1))
+    return Samples(np.arange(count), np.arange(count) * 10.0, q, T, np.tile(np.diag(scale**2), (count, 1, 1)), factor)
+
+
+def touched(true, nominal, count, rng, sigma=2e-5):
+    """Observations of positions alone: a reflector, a ball, a touched point."""
+    q = configurations_of(nominal, count, rng)
+    return observations.of_positions(q, model.predicted(q, true).translation + sigma * rng.normal(size=(count, 3)), sigma)
+
+
+def wired(true, nominal, count, rng, sigma=5e-5):
+    """Observations of one distance: a drawn wire from the frame's origin to the hand."""
+    q = configurations_of(nominal, count, rng)
+    return observations.of_distances(q, np.linalg.norm(model.predicted(q, true).translation, axis=1) + sigma * rng.normal(size=count), sigma)
+
+
+def write(folder, nominal, samples, base="free", tool="free", positions_alone=False, sigma=(2e-5, 1e-4)):
+    """A recording of Samples as an instrument's owner would leave it."""
+    folder.mkdir()
+    sigmas = f"position_sigma = {sigma[0]}\n" + ("" if positions_alone else f"rotation_sigma = {sigma[1]}\n")
+    (folder / "rig.toml").write_text(f'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = {nominal.rows.tolist()}\n'
+                                     f'limits = {nominal.limits.tolist()}\n[instrument]\nbase = "{base}"\ntool = "{tool}"\n{sigmas}')
+    names = POSE_COLUMNS[: 3 if positions_alone else 6]
+    write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{frame},{t + 5.0},," for frame, t in zip(samples.frame, samples.t)])
+    write_table(folder / "commands.csv", ("t", *nominal.axes),
+                [",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)]) for t, q in zip(samples.t, samples.commanded) for wait in (4.0, 6.0)])
+    rows = vector(samples.T_base_platform)[:, : len(names)]
+    write_table(folder / "poses.csv", ("frame", *names), [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)])

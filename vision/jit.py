@@ -1,0 +1,34 @@
+"""How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast mathematics."""
+
+import hashlib
+import os
+from pathlib import Path
+
+from numba import config, njit
+
+# all of fast mathematics but the promise that nothing is infinite or no number
+_FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+
+
+def _folder():
+    """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this one, has changed."""
+    here = Path(__file__).parent
+    sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
+    digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
+    if config.CACHE_DIR:
+        parent = Path(config.CACHE_DIR)
+    else:
+        parent = here / "__pycache__" if os.access(here, os.W_OK) else Path.home() / ".cache" / "rig"
+    return str(parent / f"kernels-{digest}")
+
+
+_FOLDER = _folder()
+
+
+def kernel(function):
+    """Compile a function when it is first called, or load what was compiled in an earlier run."""
+    before, config.CACHE_DIR = config.CACHE_DIR, _FOLDER
+    try:
+        return njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)(function)
+    finally:
+        config.CACHE_DIR = before

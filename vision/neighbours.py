@@ -1,0 +1,102 @@
+"""A pose that its own image leaves in doubt, held against the frames before and after it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+FAR = 0.5  # s to the frame before or after, beyond which it says nothing
+AROUND = 20  # frames looked at on either side
+MARGIN = 2.0  # times what nine in ten solved frames miss their neighbours by
+WORSE = 3.0  # times as far as the best the second best must lie
+LEAST = np.radians(2.0)  # whatever is closer to its neighbours than this is close
+MOST = np.radians(45.0)  # neighbours that may miss by more say nothing
+ENOUGH = 10  # solved frames between neighbours from which it is told how well neighbours predict
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """To what neighbours predict a body: rad/s^2 of the gap between the frames before and after, rad/s since the nearest."""
+
+    between: float
+    beside: float
+
+
+def choose(found, undecided, t):
+    """{frame: T_world_body} of frames whose pose their neighbours decide, as matrices.
+
+    found : {frame: (4, 4)} solved; undecided : {frame: ((4, 4), ...)} candidates; t : (F,) s
+    One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as far.
+    A frame so decided is a neighbour in its turn.
+    """
+    reach, chosen, known = reach_of(found, t), {}, dict(found)
+    waiting = set(undecided) if reach is not None else set()
+    while waiting:
+        fresh = {}
+        for f in waiting:
+            expected, limit = expect(known, f, t, reach)
+            if not limit < MOST:
+                continue
+            miss = np.array([angle(expected, one) for one in undecided[f]])
+            order = np.argsort(miss)
+            if miss[order[0]] <= limit and (miss[order[1:]] > max(limit, WORSE * miss[order[0]])).all():
+                fresh[f] = undecided[f][order[0]]
+        chosen |= fresh
+        known |= fresh
+        waiting = {f for f in undecided if f not in chosen and any(abs(f - k) < AROUND for k in fresh)}
+    return chosen
+
+
+def astray(found, t):
+    """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a flip."""
+    reach, odd = reach_of(found, t), {}
+    for f, T in found.items() if reach is not None else ():
+        if None not in _near(found, f, t):
+            expected, limit = expect(found, f, t, reach)
+            if angle(expected, T) > max(2 * limit, MOST):
+                odd[f] = f"it turns by {np.degrees(angle(expected, T)):.0f} degrees against the frames before and after"
+    return odd
+
+
+def reach_of(found, t):
+    """Reach that solved frames show of each other, or None where too few have neighbours."""
+    between, beside = [], []
+    for f, T in found.items():
+        before, after = _near(found, f, t)
+        if before is not None and after is not None:
+            between.append(angle(_between(found, before, after, f, t), T) / (t[after] - t[before]) ** 2)
+            beside.append(angle(found[before], T) / (t[f] - t[before]))
+    if len(between) < ENOUGH:
+        return None
+    return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
+
+
+def expect(found, f, t, reach):
+    """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there are none."""
+    before, after = _near(found, f, t)
+    ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
+    limit, nearest = min(ways, default=(np.inf, None))
+    if len(ways) == 2 and reach.between * (t[after] - t[before]) ** 2 < limit:
+        return _between(found, before, after, f, t), max(LEAST, reach.between * (t[after] - t[before]) ** 2)
+    return found.get(nearest), max(LEAST, limit)
+
+
+def _near(found, f, t):
+    """The nearest solved frames before and after f within FAR, None where there is none."""
+    last = len(t) - 1
+    return [next((k for k in range(f + way, min(max(f + way * AROUND, -1), last + 1), way) if k in found and abs(t[f] - t[k]) <= FAR), None)
+            for way in (-1, 1)]
+
+
+def _between(found, before, after, f, t):
+    """(4, 4) at frame f on an even way from one solved frame to another."""
+    share, T_a, T_b = (t[f] - t[before]) / (t[after] - t[before]), found[before], found[after]
+    turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).as_rotvec()
+    out = (1 - share) * T_a + share * T_b
+    out[:3, :3] = T_a[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+    return out
+
+
+def angle(a, b):
+    """rad between the rotations of two poses (4, 4)."""
+    return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))
