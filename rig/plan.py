@@ -23,6 +23,7 @@ UNSTATED_SPEED = 0.02  # m/s where the design states none
 STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 FILL = 0.8  # of the strokes that plans use
+BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
 STANDARD = "moving:30,sobol:120,ladder,moving:30,payload:20,sobol:100,moving:30"
 
 
@@ -38,9 +39,9 @@ class Plan:
 class _Writer:
     """A plan being written: where the struts are, when, and what has been exposed."""
 
-    def __init__(self, start, speed):
+    def __init__(self, start, speed, below=0.0):
         self.t, self.values, self.exposures, self.payload = [0.0, 1.0], [start, start], [], [(0.0, 0.0)]
-        self.speed = speed
+        self.speed, self.below = speed, below
 
     def go(self, goal):
         travel = np.abs(goal - self.values[-1]).max() / self.speed
@@ -53,7 +54,9 @@ class _Writer:
         self.values.append(self.values[-1])
 
     def settle(self, goal):
-        """Go there, dwell, expose once settled."""
+        """Go there, from below where that is asked for, dwell, expose once settled."""
+        if np.any(self.below):
+            self.go(goal - self.below)
         self.go(goal)
         self.dwell(DWELL + AFTER)
         self.exposures.append(self.t[-1] - AFTER)
@@ -134,8 +137,9 @@ def _scaled(strokes, unit, fill):
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit
 
 
-def build(design, text, seed=0):
-    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD.
+def build(design, text, seed=0, one_sided=False):
+    """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
+    configuration at which the struts settle is reached from shorter struts.
 
     Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, warmup:N, repeat:N and
     commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
@@ -144,7 +148,7 @@ def build(design, text, seed=0):
     if mechanism.kind not in ("hexapod", "planar2"):
         raise RigError(f"a mechanism of kind {mechanism.kind!r} cannot be planned for; hexapod and planar2 can")
     strokes = mechanism.strut_range
-    writer = _Writer(strokes.mean(axis=1), speed_of(design))
+    writer = _Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")

@@ -94,11 +94,11 @@ def corners(simulation, noise, rng):
                    np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
 
 
-def write(simulation, out, text, rng, noise=None, images=None, progress=None):
+def write(simulation, out, text, rng, noise=None, images=None, progress=None, spoil=None):
     """Write a recording folder as its owner would have it.
 
     out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
-    progress : called with (done, of) pictures, or None
+    progress : called with (done, of) pictures, or None; spoil : what happens to Corners (-> Corners) before they are written, or None
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -112,7 +112,8 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None):
     write_table(out / "sensors.csv", ("t", *log.channels), [f"{t:.4f}," + ",".join(
         f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
     if images is None:
-        write_corners(out / "corners.csv", corners(simulation, noise, rng))
+        seen = corners(simulation, noise, rng)
+        write_corners(out / "corners.csv", spoil(seen) if spoil else seen)
     else:
         from synthetic.pictures import render
 

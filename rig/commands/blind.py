@@ -1,0 +1,210 @@
+"""rig blind --season N --out DIR."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from hashlib import sha256
+from pathlib import Path
+
+from rig.commands.output import Progress, fresh_folder
+from rig.errors import MissingLibrary, RigError
+
+DIAGNOSE = ("import sys; from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[1]); sys.exit(main(sys.argv[2:]))")
+SEAL = "import json, sys; from rig.commands.blind import seal; seal(*json.loads(sys.argv[1]))"
+ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("--season", type=int, required=True, metavar="N", help="how many trials")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, seals, truth, diagnoses and score are kept there; "
+                        "a season that was interrupted goes on where it stopped")
+    parser.add_argument("--seed", type=int, default=0, help="another seed is another season")
+    parser.add_argument("--trials", metavar="LIST", help="only these of the season, for example 3,7-9")
+    parser.add_argument("--frames", type=int, help="of each recording, about (default 380)")
+    parser.add_argument("--hide", metavar="KINDS", default="nothing,one,two,foreign,noise", help="what trials may hide (default all): nothing, one, "
+                        "two effects, something foreign to the catalogue, disturbed noise")
+    parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
+    parser.add_argument("--blindfold", metavar="WHAT", default="", help="take away, joined by commas: temperature, payload, reversals, motion")
+    parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes at a time (default all cores)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same folders, instead of this machine's cores")
+
+
+def run(arguments):
+    """Seal the trials, diagnose each in a process that cannot read the truth, unseal and score."""
+    from synthetic import blind, score
+
+    settings = _settings(arguments, blind)
+    indices = _indices(arguments.trials, arguments.season)
+    out = fresh_folder(arguments.out).resolve()
+    _same_season(out / "season.json", settings)
+    for name in ("recordings", "seals", "truth", "diagnoses"):
+        (out / name).mkdir(exist_ok=True)
+    pool = _pool(arguments.scheduler, arguments.jobs)
+    try:
+        unsealed = [i for i in indices if not _seal(out, i).exists()]
+        for _ in _each(pool, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
+            pass
+        waiting = [i for i in indices if arguments.again or not _done(out, i)]
+        for index, _, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
+            if error:
+                print(f"trial {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+    known = sorted(int(path.stem) for path in (out / "seals").glob("*.sha256") if _done(out, int(path.stem)))
+    cases = [_unsealed(out, i, score) for i in known]
+    _report(out, settings, cases, score)
+
+
+def _settings(arguments, blind):
+    """What makes a season: all that its recordings depend on."""
+    from rig.effects import BY_NAME
+
+    if arguments.season < 1 or arguments.jobs < 1 or arguments.seed < 0:
+        raise RigError("--season and --jobs take at least 1, --seed at least 0")
+    frames = blind.FRAMES if arguments.frames is None else arguments.frames
+    if frames < 40:
+        raise RigError(f"--frames must be at least 40, not {frames}: a diagnosis takes some poses")
+    lists = {name: [part.strip() for part in getattr(arguments, name).split(",") if part.strip()] for name in ("hide", "effects", "blindfold")}
+    for name, known in (("hide", blind.KINDS), ("effects", BY_NAME), ("blindfold", blind.BLINDFOLDS)):
+        for part in lists[name]:
+            if part not in known:
+                raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
+    if not lists["hide"]:
+        raise RigError(f"--hide takes some of {', '.join(blind.KINDS)}")
+    return {"seed": arguments.seed, "frames": frames, **lists}
+
+
+def _indices(text, count):
+    """The trials asked for: all of 1..count, or those of a list like 3,7-9."""
+    if text is None:
+        return list(range(1, count + 1))
+    try:
+        ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
+        found = sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
+    except ValueError:
+        raise RigError(f"--trials takes for example 3,7-9, not {text!r}") from None
+    if not found or found[0] < 1 or found[-1] > count:
+        raise RigError(f"--trials {text}: the season has trials 1 to {count}")
+    return found
+
+
+def _same_season(path, settings):
+    """Write what makes this season, or raise RigError where the folder holds another."""
+    from rig.writing import write_text
+
+    if path.exists():
+        try:
+            held = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            raise RigError(f"{path} is not valid JSON; it is what makes the season in its folder") from None
+        other = [name for name in settings if held.get(name) != settings[name]]
+        if other:
+            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {held.get(n)!r} (not {settings[n]!r})" for n in other))
+    write_text(path, json.dumps(settings, indent=1) + "\n")
+
+
+def seal(out, index, settings):
+    """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
+    from calib.diagnose.strength import strengths
+    from rig import recording
+    from rig.writing import write_text
+    from synthetic import blind
+
+    out = Path(out)
+    trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"])
+    folder, truth, world = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json", trial.simulation.world
+    blind.write_recording(trial, folder)
+    values = strengths(recording.load(folder), world.true, trial.noise, world.effects, trial.simulation.sensors)
+    blind.write_truth(trial, truth, index=index, settings=settings, strengths=values.tolist())
+    write_text(_seal(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
+
+
+def _sealed(out, index, settings):
+    done = subprocess.run([sys.executable, "-c", SEAL, json.dumps([out, index, settings])], capture_output=True, text=True,
+                          env={**os.environ, **ONE_THREAD})
+    if done.returncode:
+        raise RigError(f"trial {index} could not be sealed: {done.stderr.strip() or 'stopped'}")
+
+
+def _diagnosed(out, index):
+    """(index, seconds, error or None) of the diagnosis of one trial, in a process to which the truth is closed."""
+    from rig.writing import write_text
+
+    out = Path(out)
+    target, record = out / "diagnoses" / f"{index:04d}", out / "diagnoses" / f"{index:04d}.json"
+    (target / "diagnosis.json").unlink(missing_ok=True)
+    record.unlink(missing_ok=True)
+    start = time.monotonic()
+    command = [sys.executable, "-c", DIAGNOSE, out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **ONE_THREAD})
+    seconds = time.monotonic() - start
+    if done.returncode in INTERRUPTED:
+        return index, seconds, "stopped; it will be diagnosed when the season goes on"
+    error = None if done.returncode == 0 else done.stderr.strip() or f"exit status {done.returncode}"
+    write_text(record, json.dumps({"seconds": round(seconds, 2), "failed": error}) + "\n")
+    return index, seconds, error
+
+
+def _seal(out, index):
+    return out / "seals" / f"{index:04d}.sha256"
+
+
+def _done(out, index):
+    return (out / "diagnoses" / f"{index:04d}.json").exists()
+
+
+def _pool(scheduler, jobs):
+    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster."""
+    if scheduler is None:
+        return ThreadPoolExecutor(jobs)
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise MissingLibrary("--scheduler needs Dask: pip install distributed") from None
+    try:
+        return Client(scheduler, timeout=20).get_executor(pure=False)
+    except (OSError, ValueError) as error:
+        raise RigError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+
+
+def _each(pool, function, calls, label):
+    """Results of calls of a function as they come, with progress on standard error. Raises what a call raises."""
+    progress, start = Progress(), time.monotonic()
+    waiting = [pool.submit(function, *call) for call in calls]
+    for count, future in enumerate(as_completed(waiting), 1):
+        result = future.result()
+        if sys.stderr.isatty():
+            progress(label, count, len(calls))
+        else:
+            print(f"{label}: {count} of {len(calls)}, {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        yield result
+
+
+def _unsealed(out, index, score):
+    """score.Case of a trial. Raises RigError where the truth is not what was sealed."""
+    truth, record = out / "truth" / f"{index:04d}.json", json.loads((out / "diagnoses" / f"{index:04d}.json").read_text(encoding="utf-8"))
+    if not truth.exists() or sha256(truth.read_bytes()).hexdigest() != _seal(out, index).read_text(encoding="utf-8").split()[0]:
+        raise RigError(f"{truth} is not what was sealed before the diagnosis; take the trial out of the season")
+    diagnosis = None if record["failed"] else out / "diagnoses" / f"{index:04d}" / "diagnosis.json"
+    return score.case(index, truth, diagnosis, record["seconds"], record["failed"])
+
+
+def _report(out, settings, cases, score):
+    from rig.commands.blind_page import season_page, tree
+    from rig.writing import write_text
+
+    write_text(out / "score.json", json.dumps({"settings": settings, **tree(cases)}, indent=1) + "\n")
+    season_page(out / "score.html", settings, cases)
+    for f in score.figures(cases):
+        goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
+        found = f"{f.hits:4} of {f.trials:<4} {f.hits / f.trials:6.1%} ({f.low:.1%} to {f.high:.1%}{goal})" if f.trials else "   none"
+        print(f"{f.name:42}{found}")
+    for name, value in score.medians(cases).items():
+        print(f"median {name:35}{value:10.3g}")
+    print(f"written: {out / 'score.json'} and {out / 'score.html'}")

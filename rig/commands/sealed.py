@@ -1,0 +1,19 @@
+"""A folder that this process may not look into: what keeps a diagnosis from the truth of its trial."""
+
+import os
+import sys
+
+WATCHED = ("open", "os.listdir", "os.scandir", "os.rename", "os.link", "os.symlink", "shutil.copyfile")  # events whose first argument is a path
+
+
+def forbid(folder):
+    """From now on reading anything in a folder raises PermissionError in this process (PEP 578; it cannot be taken back)."""
+    closed = os.path.realpath(folder)
+
+    def watch(event, given):
+        if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
+            path = os.path.realpath(os.fsdecode(given[0]))
+            if path == closed or path.startswith(closed + os.sep):
+                raise PermissionError(f"{path} is sealed")
+
+    sys.addaudithook(watch)

@@ -1,0 +1,197 @@
+"""Sealed trials: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig import design_file, layout
+from rig.effects import ALL
+from rig.errors import RigError
+from rig.plan import build
+from rig.recording import Sensors
+from rig.writing import write_text
+from synthetic import outlaws, simulation, world
+from vision import lens
+
+KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, an outlaw, a disturbance
+TIMES = {"nothing": 4, "one": 9, "two": 4, "foreign": 4, "noise": 2}  # a kind comes up in so many of 23 trials
+BLINDFOLDS = {"temperature": "no temperature is logged", "payload": "no load is put on", "reversals": "every pose is approached from one side",
+              "motion": "no exposure while moving"}
+FRAMES = 380  # of a recording by default
+TRIES = 20  # of drawing something that the rig survives
+NOISE = (0.02, 0.08)  # px
+SIGNED = ("scale_error", "missed_steps", "time_offset", "clock_drift", "edge_bias", "print_scale", "focal_drift")
+WARP_POINTS = 12  # each way, at which the size of a lens's missing part is measured
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One trial before it is written.
+
+    kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
+    disturbance : of outlaws.DISTURBANCES or None; plan : in words; rng : what draws the noise
+    """
+
+    kind: str
+    simulation: simulation.Simulation
+    text: str
+    noise: float
+    disturbance: object
+    plan: str
+    rng: np.random.Generator
+
+
+def schedule(seed, index, kinds=KINDS):
+    """(kind, catalogue numbers of its effects, rng) of trial `index` of a season: each effect comes up as often as the others."""
+    deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
+    shuffled = np.random.default_rng([seed, 1]).permutation(deck)
+    kind = KINDS[shuffled[index % len(deck)]]
+    before = sum({"one": 1, "two": 2}.get(KINDS[k], 0) for k in np.resize(shuffled, index))
+    count = {"one": 1, "two": 2}.get(kind, 0)
+    numbers = []
+    for k in range(before, before + count):
+        numbers.append(int(np.random.default_rng([seed, 2, k // len(ALL)]).permutation(len(ALL))[k % len(ALL)]))
+    return kind, numbers, np.random.default_rng([seed, 3, index])
+
+
+def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
+    """Trial `index` of a season. effects : names to which the catalogue is confined, all by default.
+
+    Raises RigError where nothing that the rig survives comes up in TRIES draws.
+    """
+    kind, numbers, rng = schedule(seed, index, kinds)
+    catalogue = [e for e in ALL if e.name in effects] or ALL
+    numbers = [n % len(catalogue) for n in numbers]
+    if len(numbers) == 2 and numbers[0] == numbers[1]:
+        numbers[1] = (numbers[1] + 1) % len(catalogue)
+    for attempt in range(TRIES):
+        try:
+            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
+        except RigError:
+            if attempt == TRIES - 1:
+                raise
+    return None
+
+
+def _drawn(kind, hidden, rng, frames, blindfold):
+    text = _rig(rng)
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / "rig.toml", text)
+        design = design_file.load(Path(folder) / "rig.toml")
+    plan = _protocol(frames, rng, blindfold)
+    route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in blindfold)
+    duration = float(route.t[-1])
+    effects = [_effect(e, design, route, rng) for e in hidden]
+    if len({(e.name, e.place) for e in effects}) < len(effects):
+        raise RigError("the same effect twice at one place")
+    if kind == "foreign":
+        effects = [outlaws.draw(design, duration, rng)]
+    secret = world.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects)
+    done = simulation.simulate(secret, route, rng)
+    kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in blindfold and "temperature" in name)}
+    disturbance = outlaws.DISTURBANCES[rng.integers(len(outlaws.DISTURBANCES))] if kind == "noise" else None
+    return Trial(kind, replace(done, log=Sensors(done.log.t, kept)), text, _log(rng, *NOISE), disturbance, plan, rng)
+
+
+def _rig(rng):
+    """Text of the rig.toml of a random rig of a plausible size."""
+    text = layout.layout(_log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=1280, height=1024, cubes=int(rng.integers(3, 6)))
+    joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
+    return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
+
+
+def _protocol(frames, rng, blindfold):
+    """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order."""
+    parts = ["sobol", "sobol"]
+    parts += ["ladder"] * (rng.random() < 0.85 and "reversals" not in blindfold)
+    parts += ["payload"] * (rng.random() < 0.8 and "payload" not in blindfold)
+    parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(blindfold) else 0)
+    parts += ["repeat"] * (rng.random() < 0.3)
+    share = {"sobol": 3.0, "ladder": 2.5, "payload": 1.5, "moving": 1.0, "repeat": 1.0}
+    weights = np.array([share[part] for part in parts]) * rng.uniform(0.7, 1.3, len(parts))
+    counts = frames * weights / weights.sum()
+    each = {"ladder": 24, "payload": 3}  # frames for one of what the part counts
+    written = [f"{part}:{max(1, round(count / each.get(part, 1)))}" for part, count in zip(parts, counts)]
+    return ",".join(written[i] for i in rng.permutation(len(written)))
+
+
+def _effect(kind, design, route, rng):
+    """An effect of the catalogue at a random place, its parameters drawn over their usual ranges."""
+    place = str(rng.choice(kind.places))
+    camera = design.cameras[rng.integers(len(design.cameras))]
+    target = design.targets[rng.integers(len(design.targets))]
+    place += {"strut": f" {rng.integers(1, 7)}", "camera": f" {camera.name}", "target": f" {target.name}",
+              "marker": f" {target.ids[rng.integers(len(target.ids))]}"}.get(place, "")
+    if kind.name == "lens_distortion":
+        return _lens(kind, place, camera, rng)
+    if kind.name == "transmission_error":
+        profile = np.cumsum(rng.normal(size=rng.integers(6, 12)))
+        profile -= profile.mean()
+        return kind(place, tuple((profile * _log(rng, *kind.parameters[0].usual) / np.sqrt(np.mean(profile**2))).tolist()))
+    if kind.name == "marker_swap":
+        same = [i for i in target.ids if i != int(place.split(" ")[1])]
+        return kind(place, other=float(rng.choice(same))) if rng.random() < 0.5 else kind(place, turn=float(rng.integers(1, 4)))
+    if kind.name == "screw_coupling" and design.actuator.joints != "cardan-cardan":
+        raise RigError("a ball turns no nut")
+    return kind(place, **{p.name: _value(kind, p, route, rng) for p in kind.parameters if p.name != "since" or rng.random() < 0.25})
+
+
+def _value(kind, p, route, rng):
+    low, high = p.usual
+    if p.role == "moment":
+        return float(rng.uniform(*np.quantile(route.t, [0.1, 0.9])))
+    if p.role == "choice":
+        return float(rng.integers(low, high + 1))
+    if p.role in ("phase", "even"):
+        return float(rng.uniform(low, high))
+    size = _log(rng, low, high)
+    if p.size == 1:
+        return float(rng.choice([-1, 1]) * size) if kind.name in SIGNED else size
+    return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
+
+
+def _lens(kind, place, camera, rng):
+    """What a lens lacks: higher radial terms, a thin prism, or a smooth warp, 0.05 to 2 px RMS over the image."""
+    size, which = _log(rng, 0.05, 2), rng.integers(3)
+    if which == 2:
+        return kind(place, warp=_sized(lambda c: kind(place, warp=c), 14, range(14), camera, size, rng))
+    return kind(place, terms=_sized(lambda c: kind(place, terms=c), 12, ((5, 6, 7), (8, 9, 10, 11))[which], camera, size, rng))
+
+
+def _sized(make, length, free, camera, size, rng):
+    """Coefficients of which those that are free are drawn such that corners all over the image move by size px RMS."""
+    u, v = np.meshgrid(np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height)
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    points = np.column_stack([(uv - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]], np.ones(len(uv))])
+    unit = np.zeros(length)
+    unit[list(free)] = rng.normal(size=len(free)) * 1e-3
+
+    def seen(coefficients):
+        effect = make(tuple(coefficients.tolist()))
+        real = effect.camera(camera)
+        return effect.print_(camera, lens.project(points, real.matrix, real.distortion))
+
+    moved = np.sqrt(np.mean((seen(unit) - seen(0 * unit)) ** 2))
+    return tuple((unit * size / moved).tolist())
+
+
+def write_recording(trial, folder):
+    """Write the recording of a trial into a folder."""
+    spoil = None
+    if trial.disturbance is not None:
+        def spoil(corners):
+            return trial.disturbance(corners, trial.simulation.world.stated, trial.noise, trial.rng)
+    simulation.write(trial.simulation, folder, trial.text, trial.rng, trial.noise, spoil=spoil)
+
+
+def write_truth(trial, path, **more):
+    """Write the truth of a trial, with more besides, into a file."""
+    disturbance = trial.disturbance.__name__ if trial.disturbance is not None else None
+    world.write_truth(path, trial.simulation.world, trial.simulation.run.T_base_platform, kind=trial.kind, disturbance=disturbance,
+                      noise_px=trial.noise, plan=trial.plan, **more)
+
+
+def _log(rng, low, high):
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

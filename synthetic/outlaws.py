@@ -1,0 +1,265 @@
+"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind trial may hide as well.
+
+An outlaw is an effect like any other, only that no diagnosis knows it; `draw` makes one of a plausible size. A disturbance
+changes nothing but the noise of corners: there, too, nothing may be named.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect
+from rig.mechanisms import hexapod
+from rig.pose import exp, transform_points
+
+WAVES = 4  # sinusoids of a smooth random course
+
+
+@dataclass(frozen=True, slots=True)
+class CablePull(Effect):
+    """A cable from an anchor (3) m of the base frame pulls with tension N and spring N/m once it is tauter than slack m; the platform
+    gives way by softness m/N and, about its origin, by softness / arm^2 rad/(N m)."""
+
+    place: str
+    anchor: tuple[float, ...]
+    slack: float
+    spring: float
+    softness: float
+    arm: float
+    name: ClassVar = "cable_pull"
+    stage: ClassVar = "structure"
+    places: ClassVar = ("rig",)
+    on_pose: ClassVar = True
+
+    def deviation(self, motion):
+        at = np.array([0.0, self.arm, 0.0])  # where the cable is tied, platform frame
+        matrix = motion.T.as_matrix()
+        away = np.asarray(self.anchor) - (matrix[:, :3, :3] @ at + matrix[:, :3, 3])
+        length = np.linalg.norm(away, axis=1, keepdims=True)
+        force = self.spring * np.maximum(length - self.slack, 0) * away / length
+        force = (np.swapaxes(matrix[:, :3, :3], 1, 2) @ force[..., None])[..., 0]
+        give = np.concatenate([force, np.cross(at, force) / self.arm**2], axis=1) * self.softness
+        return (hexapod.jacobian(motion.T, motion.mechanism) @ give[..., None])[..., 0]
+
+
+@dataclass(frozen=True, slots=True)
+class BendingStrut(Effect):
+    """A strut sags sideways under its own weight and is the shorter, chord to arc, the flatter and the longer it is: by size m when
+    level at its home length."""
+
+    place: str
+    size: float
+    name: ClassVar = "bending_strut"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("strut",)
+    on_pose: ClassVar = True
+
+    def deviation(self, motion):
+        matrix, m = motion.T.as_matrix(), motion.mechanism
+        struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
+        length = np.linalg.norm(struts, axis=2)
+        level = 1 - (struts @ motion.gravity / np.linalg.norm(motion.gravity) / length) ** 2
+        return -self.struts() * self.size * level * (length / motion.home) ** 7
+
+
+@dataclass(frozen=True, slots=True)
+class WanderingBase(Effect):
+    """The frame with the base joints wanders against the cubes on the base: course (WAVES * 8): amplitudes (6) m, rad, frequency Hz
+    and phase of each wave."""
+
+    place: str
+    course: tuple[float, ...]
+    name: ClassVar = "wandering_base"
+    stage: ClassVar = "structure"
+    places: ClassVar = ("rig",)
+    on_pose: ClassVar = True
+
+    def deviation(self, motion):
+        moved = transform_points(exp(_course(self.course, motion.t, 6)), motion.mechanism.base_joints)
+        matrix, m = motion.T.as_matrix(), motion.mechanism
+        tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
+        return np.linalg.norm(tips - m.base_joints, axis=2) - np.linalg.norm(tips - moved, axis=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Crosstalk(Effect):
+    """A strut takes a share of another's stroke."""
+
+    place: str
+    other: int
+    share: float
+    name: ClassVar = "crosstalk"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("strut",)
+
+    def deviation(self, motion):
+        return self.struts() * self.share * (motion.lengths - motion.home)[:, [self.other - 1]]
+
+
+@dataclass(frozen=True, slots=True)
+class SlippingClutch(Effect):
+    """A strut loses a share of every metre that it travels, whichever way."""
+
+    place: str
+    share: float
+    name: ClassVar = "slipping_clutch"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("strut",)
+
+    def deviation(self, motion):
+        way = np.abs(np.diff(motion.path.lengths, axis=0, prepend=motion.path.lengths[:1])).cumsum(axis=0)
+        return -self.struts() * self.share * way[motion.path.at]
+
+
+@dataclass(frozen=True, slots=True)
+class Drag(Effect):
+    """All struts fall back by factor (s^2/m) times the square of their speed."""
+
+    place: str
+    factor: float
+    name: ClassVar = "drag"
+    stage: ClassVar = "struts"
+    places: ClassVar = ("rig",)
+
+    def deviation(self, motion):
+        path = motion.path
+        speed = np.diff(path.lengths, axis=0, prepend=path.lengths[:1]) / np.maximum(np.diff(path.t, prepend=path.t[0] - 1), 1e-6)[:, None]
+        return -self.factor * (speed * np.abs(speed))[path.at]
+
+
+@dataclass(frozen=True, slots=True)
+class BreathingLens(Effect):
+    """A focal length comes and goes with no temperature: course (WAVES * 3): share, frequency Hz and phase of each wave."""
+
+    place: str
+    course: tuple[float, ...]
+    name: ClassVar = "breathing_lens"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera",)
+
+    def focal(self, camera, t, channel):
+        return 1 + _course(self.course, t, 1)[:, 0] * self.at(f"camera {camera.name}")
+
+
+@dataclass(frozen=True, slots=True)
+class SwayingTripod(Effect):
+    """A mount sways, motion (6) m, rad, as the sine of time at a frequency (Hz)."""
+
+    place: str
+    motion: tuple[float, ...]
+    frequency: float
+    name: ClassVar = "swaying_tripod"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera",)
+
+    def mount(self, camera, t, channel):
+        return np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
+
+
+@dataclass(frozen=True, slots=True)
+class UnevenPrint(Effect):
+    """Every marker is printed in a size of its own: scales, one of each marker in the map's order."""
+
+    place: str
+    scales: tuple[float, ...]
+    name: ClassVar = "uneven_print"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("markers",)
+
+    def attach(self, markers):
+        return replace(markers, side=markers.side * (1 + np.asarray(self.scales)))
+
+
+def _course(course, t, size):
+    """(n, size) a sum of waves at times t (n,) s; course : size amplitudes, frequency (Hz) and phase of each."""
+    out = np.zeros((len(t), size))
+    for *amplitude, frequency, phase in np.reshape(course, (-1, size + 2)):
+        out += np.sin(2 * np.pi * frequency * t + phase)[:, None] * amplitude
+    return out
+
+
+def draw(design, duration, rng):
+    """One outlaw of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
+    radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean()
+    stroke = np.ptp(design.mechanism.strut_range, axis=1).mean()
+    strut = f"strut {rng.integers(1, 7)}"
+    camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
+
+    def waves(size, scale):
+        rows = [np.r_[scale / np.sqrt(WAVES) * rng.normal(size=size), rng.uniform(1.5, 8) / duration, rng.uniform(0, 6.28)] for _ in range(WAVES)]
+        return tuple(np.concatenate(rows).tolist())
+
+    name = OUTLAWS[rng.integers(len(OUTLAWS))]
+    if name is CablePull:
+        anchor = radius * np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.5, 1.5), rng.uniform(2.5, 4)])
+        length = np.linalg.norm(anchor - design.mechanism.home.translation)
+        return CablePull("rig", tuple(anchor.tolist()), length * rng.uniform(0.9, 1.0), _log(rng, 2e-5, 5e-4) / (0.1 * length) / 1e-6, 1e-6,
+                         radius * 0.5)
+    if name is BendingStrut:
+        return BendingStrut(strut, _log(rng, 1e-4, 2e-3))
+    if name is WanderingBase:
+        return WanderingBase("rig", waves(6, _log(rng, 5e-6, 1e-4)))
+    if name is Crosstalk:
+        return Crosstalk(strut, int((int(strut[-1]) + rng.integers(1, 6) - 1) % 6 + 1), rng.choice([-1, 1]) * _log(rng, 2e-4, 4e-3))
+    if name is SlippingClutch:
+        return SlippingClutch(strut, _log(rng, 2e-5, 3e-4) / (100 * stroke))
+    if name is Drag:
+        return Drag("rig", _log(rng, 1e-5, 2e-4) / (design.actuator.max_speed / 4) ** 2)
+    if name is BreathingLens:
+        return BreathingLens(camera, waves(1, _log(rng, 2e-5, 5e-4)))
+    if name is SwayingTripod:
+        motion = rng.normal(size=6) * _log(rng, 2e-5, 5e-4)
+        return SwayingTripod(camera, tuple(motion.tolist()), 1 / rng.uniform(30, 300))
+    return UnevenPrint("markers", tuple((_log(rng, 3e-4, 5e-3) * rng.normal(size=sum(len(t.ids) for t in design.targets))).tolist()))
+
+
+OUTLAWS = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
+
+
+def air_shimmer(corners, design, noise, rng):
+    """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times the noise."""
+    size = noise * rng.uniform(1, 4)
+    uv = corners.uv.copy()
+    camera = np.array(corners.camera)
+    for c in design.cameras:
+        rows = np.flatnonzero(camera == c.name)
+        x = (uv[rows] - [c.width / 2, c.height / 2]) / (c.width / 2)
+        basis = np.stack([np.cos(i * x[:, 0] + 1.7 * i) * np.cos(j * x[:, 1] + 0.9 * j) for i in range(3) for j in range(3)], axis=1)
+        warps = size / 3 * rng.normal(size=(corners.frame.max() + 1, 9, 2))
+        uv[rows] += np.einsum("nk,nkc->nc", basis, warps[corners.frame[rows]])
+    return replace(corners, uv=uv)
+
+
+def outliers(corners, design, noise, rng):
+    """Up to one corner in thirty lies somewhere else, by 1 to 30 px."""
+    wrong = rng.random(len(corners.uv)) < rng.uniform(0.005, 0.03)
+    direction = rng.normal(size=corners.uv.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return replace(corners, uv=corners.uv + wrong[:, None] * direction * np.exp(rng.uniform(0, np.log(30), (len(wrong), 1))))
+
+
+def uneven_noise(corners, design, noise, rng):
+    """Noise grows towards the edges of the image, threefold, and one camera is twice as noisy as the others."""
+    radius = np.linalg.norm(corners.uv - np.median(corners.uv, axis=0), axis=1) / 600
+    worse = np.where(np.array(corners.camera) == design.cameras[rng.integers(len(design.cameras))].name, 2.0, 1.0)
+    extra = noise * np.sqrt((1 + 2 * np.minimum(radius, 1)) ** 2 * worse**2 - 1)
+    return replace(corners, uv=corners.uv + extra[:, None] * rng.normal(size=corners.uv.shape))
+
+
+def heavy_tails(corners, design, noise, rng):
+    """Noise has the tails of Student's t with three degrees of freedom."""
+    return replace(corners, uv=corners.uv + noise * rng.standard_t(3, size=corners.uv.shape))
+
+
+def shaken_frames(corners, design, noise, rng):
+    """One frame in fifteen was shaken: all its corners are five times as noisy."""
+    shaken = rng.random(corners.frame.max() + 1) < 1 / 15
+    return replace(corners, uv=corners.uv + 5 * noise * shaken[corners.frame][:, None] * rng.normal(size=corners.uv.shape))
+
+
+DISTURBANCES = (air_shimmer, outliers, uneven_noise, heavy_tails, shaken_frames)
+
+
+def _log(rng, low, high):
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

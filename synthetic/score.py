@@ -1,0 +1,253 @@
+"""Sealed truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from rig.effects import BY_NAME
+from rig.errors import FileError
+
+STRONG = 7.0  # signal-to-noise from which an effect must be found
+BINS = (0.0, 3.0, 7.0, 20.0, 100.0, np.inf)  # of strength
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """An effect that was at work. parameters : {name: number or list}; strength : signal-to-noise, freedoms projected out"""
+
+    effect: str
+    place: str
+    parameters: dict
+    strength: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A finding. parameters : {name: (value, [low, high] or None)}; rivals : [(effect, place)] that it cannot be told from"""
+
+    effect: str
+    place: str
+    parameters: dict
+    rivals: list
+
+    def names(self):
+        """Effects that it leaves possible, its own first."""
+        return [self.effect, *(name for name, _ in self.rivals)]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One trial, unsealed. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found]; unexplained : whether anything is
+    said to be left; ratio : held-out misfit over the noise floor; seconds : that the diagnosis took; failed : its error or None"""
+
+    index: int
+    kind: str
+    disturbance: str | None
+    hidden: list
+    found: list
+    unexplained: bool
+    ratio: float
+    seconds: float
+    failed: str | None = None
+
+    @property
+    def named(self):
+        """Findings that name an effect of the catalogue."""
+        return [f for f in self.found if f.effect != "unknown"]
+
+    def match(self, hidden):
+        """The finding that answers a hidden effect: same place if there is one, else the same name, else one that allows it, or None."""
+        for fits in (lambda f: (f.effect, f.place) == (hidden.effect, hidden.place), lambda f: f.effect == hidden.effect,
+                     lambda f: (hidden.effect, hidden.place) in f.rivals, lambda f: hidden.effect in f.names()):
+            for f in self.named:
+                if fits(f):
+                    return f
+        return None
+
+    def wrong(self):
+        """Findings whose effect was not hidden and which do not allow one that was."""
+        names = {h.effect for h in self.hidden}
+        return [f for f in self.named if not names & set(f.names())]
+
+    def seen_as(self, hidden):
+        """What a hidden effect was taken for: the name of its finding, else of one that answers no other, else unknown or nothing."""
+        own = self.match(hidden)
+        if own is not None:
+            return own.effect
+        taken = [id(self.match(h)) for h in self.hidden]
+        rest = [f.effect for f in self.named if id(f) not in taken]
+        return rest[0] if rest else "unknown" if self.unexplained else "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """name; hits of trials; low, high : Clopper and Pearson's 95 % interval; goal : the share to reach, or None"""
+
+    name: str
+    hits: int
+    trials: int
+    low: float
+    high: float
+    goal: float | None = None
+
+
+def share(name, flags, goal=None):
+    """Figure of how many flags are true."""
+    flags = [bool(f) for f in flags]
+    return Figure(name, sum(flags), len(flags), *clopper_pearson(sum(flags), len(flags)), goal)
+
+
+def clopper_pearson(hits, trials, level=0.95):
+    """(low, high) of the exact interval of a share. Source: Clopper and Pearson, Biometrika 26, 1934"""
+    tail = (1 - level) / 2
+    low = float(beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(1 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
+    return low, high
+
+
+def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
+    """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
+    tree = _read(truth)
+    try:
+        hidden = [Hidden(e["effect"], _place(e["effect"], e["place"], e["parameters"].get("other", -1)), e["parameters"], s)
+                  for e, s in zip(tree["effects"], tree["strengths"], strict=True)]
+        kind, disturbance = tree["kind"], tree["disturbance"]
+    except (KeyError, ValueError) as error:
+        raise FileError(truth, f"is no truth of a trial: {error!r}") from None
+    if diagnosis is None:
+        return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
+    tree = _read(diagnosis)
+    try:
+        found = [_found(f) for f in tree["findings"]]
+        floor = tree["fit"]["noise_floor"]
+        ratio = tree["fit"]["heldout_after"] / floor if floor else float("nan")
+        unexplained = tree["unexplained"] is not None or any(f.effect == "unknown" for f in found)
+    except (KeyError, TypeError) as error:
+        raise FileError(diagnosis, f"is no diagnosis: {error!r}") from None
+    return Case(index, kind, disturbance, hidden, found, unexplained, ratio, seconds)
+
+
+def _found(f):
+    parameters = {name: (p["value"], p.get("ci95")) for name, p in f["parameters"].items()}
+    return Found(f["effect"], _place(f["effect"], f["place"], parameters.get("other", (-1,))[0]), parameters,
+                 [(r["effect"], r["place"]) for r in f["cannot_be_told_from"]])
+
+
+def _place(effect, place, other):
+    """The place; of two markers exchanged with each other, either of which may be given, the lower."""
+    if effect != "marker_swap" or other is None or other < 0:
+        return place
+    return f"marker {min(int(place.split(' ')[1]), int(other))}"
+
+
+def _read(path):
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except (OSError, json.JSONDecodeError) as error:
+        raise FileError(path, f"cannot be read: {error} (cut off?)") from None
+
+
+def covered(hidden, found):
+    """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
+    out = []
+    if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
+        return out
+    roles = {p.name: p.role for p in BY_NAME[hidden.effect].parameters}
+    for name, true in hidden.parameters.items():
+        value, interval = found.parameters.get(name, (None, None))
+        if interval is None or roles[name] in ("moment", "choice"):
+            continue
+        true, low, high = (np.atleast_1d(np.asarray(v, float)) for v in (true, *interval))
+        if len(true) != len(low) or (hidden.effect == "lens_distortion" and not np.any(true)):
+            continue
+        if roles[name] == "phase":
+            true = true + 2 * np.pi * np.round(((low + high) / 2 - true) / (2 * np.pi))
+        out += [bool(a <= x <= b) for x, a, b in zip(true, low, high) if b > a]
+    return out
+
+
+def figures(cases):
+    """[Figure] of a season, in the order of the page."""
+    done = [c for c in cases if c.failed is None]
+    still = [c for c in done if c.kind == "nothing"]
+    one = [c for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
+    two = [c for c in done if c.kind == "two" and all(h.strength >= STRONG for h in c.hidden)]
+    foreign = [c for c in done if c.kind == "foreign" and c.hidden[0].strength >= STRONG]
+    noise = [c for c in done if c.kind == "noise"]
+    inside = [flag for c in done for h in c.hidden if h.effect in BY_NAME for flag in covered(h, c.match(h))]
+    return [
+        share("diagnosed without an error", [c.failed is None for c in cases], 1.0),
+        share("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
+        share("one effect: detected", [bool(c.found) or c.unexplained for c in one], 0.97),
+        share("one effect: named first", [bool(c.named) and c.named[0].effect == c.hidden[0].effect for c in one], 0.92),
+        share("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
+        share("one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.named) for c in one for h in c.hidden], 0.9),
+        share("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
+        share("two effects: both named", [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two], 0.75),
+        share("two effects: no wrong name", [not c.wrong() for c in two]),
+        share("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
+        share("outside the catalogue: no name given", [not c.named for c in foreign]),
+        share("noise only disturbed: no name given", [not c.named for c in noise]),
+        share("no wrong name in any trial", [not c.wrong() for c in done]),
+        share("95 % intervals that cover", inside, 0.91),
+    ]
+
+
+def medians(cases):
+    """{name: number}: size of the sets, held-out misfit over the noise floor, seconds; nan where there is none."""
+    done = [c for c in cases if c.failed is None]
+    one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
+    columns = {"effects in a set": [len(set(f.names())) for f in one if f is not None], "held-out misfit / noise floor": [c.ratio for c in done],
+               "seconds a diagnosis": [c.seconds for c in cases]}
+    return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
+
+
+def by_effect(cases):
+    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all trials that hide them."""
+    return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
+
+
+def by_strength(cases):
+    """The same by strength, of effects of the catalogue."""
+    def group(h):
+        k = int(np.searchsorted(BINS, h.strength, side="right"))
+        return f"{BINS[k - 1]:g} to {BINS[k]:g}" if h.effect in BY_NAME else None
+
+    found = {row[0]: row for row in _grouped(cases, group)}
+    return [found[name] for low, high in zip(BINS[:-1], BINS[1:]) if (name := f"{low:g} to {high:g}") in found]
+
+
+def _grouped(cases, group):
+    rows = {}
+    for c in cases:
+        for h in c.hidden if c.failed is None else ():
+            if group(h) is not None:
+                rows.setdefault(group(h), []).append((c, h, c.match(h)))
+    return [(name, [share("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
+                    share("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
+                    share("placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]),
+                    share("covered", [flag for _, h, f in rows[name] if h.effect in BY_NAME for flag in covered(h, f)])],
+             _count(c.seen_as(h) for c, h, _ in rows[name])) for name in sorted(rows)]
+
+
+def confusion(cases):
+    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for trials that hide no effect."""
+    out = {name: counts for name, _, counts in by_effect(cases)}
+    for c in cases:
+        if c.failed is None and not c.hidden:
+            label = c.disturbance or "nothing"
+            seen = c.named[0].effect if c.named else "unknown" if c.unexplained else "nothing"
+            out.setdefault(label, {})
+            out[label][seen] = out[label].get(seen, 0) + 1
+    return out
+
+
+def _count(names):
+    out = {}
+    for name in names:
+        out[name] = out.get(name, 0) + 1
+    return out

@@ -1,0 +1,133 @@
+"""The page of a diagnosis: whole without a network, it says what the diagnosis says, and it draws what gives an effect away."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnose import result
+from calib.diagnose.page import diagnosis_page
+from calib.diagnose.remedy import REMEDIES
+from calib.diagnose.schematic import MARKS, schematic
+from calib.diagnose.telltale import residuals, telltale
+from calib.diagnose.unknown import Unknown
+from rig import plan, recording
+from rig.effects import ALL, BY_NAME
+from rig.effects.parse import parse
+from rig.writing import write_poses
+from synthetic import simulation, world
+
+HIDDEN = "backlash:strut3:gap=8e-5"
+
+
+@pytest.fixture(scope="module")
+def diagnosed(design, rig_text, tmp_path_factory):
+    """(Recording, Diagnosis) of a rig with a backlash, asked for two effects alone."""
+    return make(design, rig_text, tmp_path_factory.mktemp("rec"), HIDDEN, ["backlash", "scale_error"])
+
+
+def make(design, rig_text, folder, text, only):
+    rng = np.random.default_rng(4)
+    done = simulation.simulate(world.draw(design, rng, 1.0, (parse(text),)), plan.build(design, "sobol:14,ladder:1,payload:2,moving:6", 1), rng)
+    simulation.write(done, folder, rig_text, rng, noise=0.03)
+    found = recording.load(folder)
+    return found, result.diagnose(found, only)
+
+
+def text_of(path):
+    page = path.read_text(encoding="utf-8")
+    return page, re.sub(r"<[^>]*>", " ", re.sub(r'src="[^"]*"', "", page))
+
+
+def test_the_page_says_what_was_found(diagnosed, tmp_path):
+    found, diagnosis = diagnosed
+    diagnosis_page(tmp_path / "page.html", found, diagnosis)
+    page, text = text_of(tmp_path / "page.html")
+    gap = result.to_dict(diagnosis)["findings"][0]["parameters"]["gap"]
+    assert f"Backlash at strut 3, gap {gap['value'] * 1e6:.3g} µm (95 %: {gap['ci95'][0] * 1e6:.3g} to {gap['ci95'][1] * 1e6:.3g})" in text
+    assert REMEDIES["backlash"] in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
+    assert page.count("data:image/png;base64,") == 3  # the rig, the tell-tale, what remains
+    assert not re.search(r'(src|href)="(?!data:)', page) and "<script" not in page and "@import" not in page
+
+
+def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
+    found, diagnosis = diagnosed
+    still = result.diagnose(found, ["missed_steps strut 1"])
+    diagnosis_page(tmp_path / "page.html", found, replace(still, unknown=[]))
+    assert "Nothing is left out" in text_of(tmp_path / "page.html")[1]
+    left = [Unknown("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0), Unknown("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0)]
+    diagnosis_page(tmp_path / "page.html", found, replace(still, unknown=left))
+    text = text_of(tmp_path / "page.html")[1]
+    assert "There is something at strut 3 that nothing in the catalogue explains, 40 µm, going with history." in text
+    assert "image position" in text and "below 1 in a million" in text
+    assert "Backlash" not in text and "backlash" not in text
+
+
+def test_rivals_and_what_was_not_asked_are_listed(diagnosed, tmp_path, monkeypatch):
+    found, diagnosis = diagnosed
+    tree = result.to_dict(diagnosis)
+    rival = {"effect": "hysteresis", "place": "strut 3", "delta_bic": 1.25, "cosine": 0.999, "experiment": "a <ladder>"}
+    tree["findings"][0]["cannot_be_told_from"] = [rival]
+    tree["not_asked"] = [{"effect": "thermal_expansion", "reason": "no channel"}]
+    monkeypatch.setattr("calib.diagnose.page.to_dict", lambda d: tree)
+    diagnosis_page(tmp_path / "page.html", found, diagnosis)
+    page, text = text_of(tmp_path / "page.html")
+    assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
+    assert "This recording alone cannot tell the backlash" in text
+
+
+def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
+    _, diagnosis = diagnosed
+    settled = diagnosis.selection.settled
+    (after, corners), (before, _) = residuals(settled), residuals(settled, (0,))
+    bare, _ = residuals(type(settled)(settled.knowledge, diagnosis.selection.before, [], np.zeros(0), np.zeros((0, 0)), None))
+    rms = np.sqrt((np.stack([before, bare, after]) ** 2).mean(axis=1))[:, 2]
+    assert rms[0] == pytest.approx(rms[1], rel=0.1) and rms[2] < 0.6 * rms[0]  # m, of strut 3
+    assert np.sqrt((corners**2).mean()) == pytest.approx(0.03, rel=0.1)  # px
+
+
+@pytest.mark.parametrize("text", [
+    "compliance:rig:stiffness=3e6", "screw_coupling:rig:gain=0.9", "vibration:rig:amplitude=5e-5,frequency=3.3",
+    "time_offset:clock:offset=0.03", "creep:rig:fraction=0.01,time_constant=5", "warm_up:strut2:amplitude=1e-4",
+    "cyclic_error:strut4:amplitude=3e-5", "thermal_expansion:rig:coefficient=2e-5", "base_expansion:rig:coefficient=1e-4",
+    "clock_drift:clock:rate=1e-4", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100", "focal_drift:cameras:per_kelvin=4e-4",
+    "edge_bias:cameras:bias=0.2", "print_scale:markers:scale=3e-3", "rolling_shutter:cam0:row_time=3e-5", "refraction:cam1:thickness=2e-2",
+    "face_misplacement:4:offset=5e-4/0/0", "cube_misplacement:P2:motion=5e-4/0/0/0/0/0"])
+def test_every_tell_tale_can_be_drawn(text, diagnosed):
+    _, diagnosis = diagnosed
+    settled = diagnosis.selection.settled
+    effect = parse(text)
+    figure = telltale(replace(settled, knowledge=settled.knowledge.with_effects((effect,))), 0)
+    drawn = [axes for axes in figure.axes if axes.lines or axes.patches or axes.collections]
+    assert len(drawn) >= 1 and all(axes.get_xlabel() for axes in drawn)
+    if len(drawn) == 3:  # what it explains lies along the axis, and is more than nothing
+        assert np.ptp(drawn[2].lines[0].get_xdata()) > 0
+
+
+def test_marks_are_on_the_parts_that_are_pointed_at(diagnosed):
+    knowledge = diagnosed[1].selection.settled.knowledge
+    places = ["strut 3", "camera cam1", "marker 4", "target P2", "clock"]
+    axes = schematic(knowledge, places).axes[0]
+    thick = {line.get_color(): line.get_linewidth() for line in axes.lines if line.get_color() in MARKS}
+    assert set(thick) == set(MARKS[:4]) and min(thick.values()) > 2
+    assert [t.get_text() for t in axes.texts if t.get_color() == MARKS[0]] == ["3"] and "clock" in [t.get_text() for t in axes.texts]
+    assert not [line for line in schematic(knowledge, []).axes[0].lines if line.get_color() in MARKS]
+
+
+def test_every_effect_has_a_remedy():
+    assert set(REMEDIES) == set(BY_NAME) == {e.name for e in ALL}
+
+
+def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
+    found, diagnosis = diagnosed
+    monkeypatch.setattr(result, "within_reach", lambda knowledge: knowledge)  # there are no corners that could be out of reach
+    k = diagnosis.selection.settled.knowledge
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        (tmp_path / name).write_bytes((found.folder / name).read_bytes())
+    covariance = np.tile(np.diag([5e-6**2] * 3 + [3e-5**2] * 3), (len(k.frames), 1, 1))
+    write_poses(tmp_path / "poses.csv", recording.Poses(k.frames, k.T, covariance))
+    alone = recording.load(tmp_path)
+    diagnosis_page(tmp_path / "page.html", alone, result.diagnose(alone, ["backlash"]))
+    text = text_of(tmp_path / "page.html")[1]
+    assert "Backlash at strut 3" in text and re.search(r"corners\s+none", text)

@@ -1,0 +1,219 @@
+"""Blind trials: what is sealed is what is scored, the truth stays closed to the diagnosis, and a season goes on where it stopped."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig import cli, machine, plan, recording
+from rig.commands import blind as command
+from rig.effects import ALL, BY_NAME
+from rig.effects.base import check
+from rig.effects.parse import parse
+from rig.errors import FileError, RigError
+from synthetic import blind, outlaws, score, simulation, world
+
+
+def test_a_schedule_deals_every_kind_and_every_effect_alike():
+    dealt = [blind.schedule(3, i)[:2] for i in range(1, 24 * 23)]
+    kinds = [kind for kind, _ in dealt]
+    assert {kind: round(kinds.count(kind) / len(kinds) * 23) for kind in blind.KINDS} == blind.TIMES
+    assert {kind: {len(numbers) for k, numbers in dealt if k == kind} for kind in blind.KINDS} == {
+        "nothing": {0}, "one": {1}, "two": {2}, "foreign": {0}, "noise": {0}}
+    count = np.bincount([n for _, numbers in dealt for n in numbers], minlength=len(ALL))
+    assert np.ptp(count) <= 2  # the deck is cut at both ends
+    assert blind.schedule(3, 7)[:2] == dealt[6] and blind.schedule(4, 7)[2].random() != blind.schedule(3, 7)[2].random()
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
+def test_every_effect_is_drawn_within_its_bounds(kind, design):
+    rng = np.random.default_rng(1)
+    route = plan.build(design, "sobol:4", 1)
+    for _ in range(6):
+        effect = check(blind._effect(kind, design, route, rng))
+        assert effect.name == kind.name and any(np.any(v) for v in effect.values().values())
+    if kind.name == "lens_distortion":
+        assert 0.02 < np.std(np.subtract(*[blind.lens.project(np.array([[0.3, 0.2, 1.0]]), c.matrix, c.distortion) for c in (
+            effect.camera(design.cameras[0]), design.cameras[0])])) < 40 or effect.warp
+
+
+@pytest.mark.parametrize("kind", outlaws.OUTLAWS, ids=lambda kind: kind.name)
+def test_every_outlaw_changes_what_is_seen_and_is_in_no_catalogue(kind, design, monkeypatch):
+    monkeypatch.setattr(outlaws, "OUTLAWS", (kind,))
+    rng = np.random.default_rng(2)
+    route = plan.build(design, "moving:8,sobol:8", 1)
+    outlaw = outlaws.draw(design, route.t[-1], rng)
+    assert outlaw.name == kind.name and kind.name not in BY_NAME
+    secret = world.draw(design, rng, 1.0, (outlaw,))
+    bent = simulation.simulate(secret, route, np.random.default_rng(5))
+    plain = simulation.simulate(replace(secret, effects=()), route, np.random.default_rng(5))
+    found, uv = simulation.sight(bent)
+    moved = uv - simulation.see(found, simulation.State(secret.true.cameras, plain.run.T_base_platform, {}), simulation.marker_map(design))
+    assert 1e-4 < np.sqrt(np.mean(moved**2)) < 20
+
+
+@pytest.mark.parametrize("disturb", outlaws.DISTURBANCES, ids=lambda disturb: disturb.__name__)
+def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
+    rng = np.random.default_rng(3)
+    done = simulation.simulate(world.draw(design, rng), plan.build(design, "sobol:30"), rng)
+    clean = simulation.corners(done, 0.0, rng)
+    off = disturb(clean, design, 0.05, rng).uv - clean.uv
+    assert 0.02 < np.sqrt(np.mean(off**2)) < 3 and np.abs(np.median(off, axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize("blindfold, gone", [("temperature", "strut1_temperature_C"), ("payload", None), ("reversals", None), ("motion", None)])
+def test_a_blindfold_takes_away_what_it_says(blindfold, gone):
+    for index in (1, 2):
+        trial = blind.draw(6, index, 60, (blindfold,), ("nothing",))
+        assert gone not in trial.simulation.log.channels and "payload_mass_kg" in trial.simulation.log.channels
+        assert (blindfold not in ("payload",)) or not trial.simulation.log.channels["payload_mass_kg"].any()
+        if blindfold in ("motion", "reversals"):
+            assert "moving" not in trial.plan
+        if blindfold == "reversals":
+            path = machine.motion(trial.simulation.world.stated, trial.simulation.plan.commands, trial.simulation.plan.t).path
+            step = np.diff(path.lengths, axis=0)
+            for at in path.at:
+                last = [step[:at][step[:at, i] != 0, i][-1] for i in range(6)]
+                assert (np.array(last) > 0).all()
+
+
+def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "0001.json").write_text("secret")
+    (tmp_path / "link").symlink_to(tmp_path / "truth")
+    for path in ("truth/0001.json", "link/0001.json", "truth"):
+        look = f"import os, pathlib; p = pathlib.Path({str(tmp_path / path)!r}); print(os.listdir(p) if p.is_dir() else p.read_text())"
+        code = f"from rig.commands.sealed import forbid; forbid({str(tmp_path / 'truth')!r}); {look}"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert "is sealed" in done.stderr and "secret" not in done.stdout and "0001" not in done.stdout
+
+
+def perfect(out, index):
+    """A diagnosis that has looked: every effect hidden, with an interval about each number."""
+    tree = json.loads((command.Path(out) / "truth" / f"{index:04d}.json").read_text())
+    findings = []
+    for e in tree["effects"]:
+        known = e["effect"] in BY_NAME
+        parameters = {n: {"value": v, "unit": "", "ci95": [(np.array(v) - 1).tolist(), (np.array(v) + 1).tolist()]}
+                      for n, v in e["parameters"].items()}
+        findings.append({"effect": e["effect"] if known else "unknown", "place": e["place"], "parameters": parameters if known else {},
+                         "cannot_be_told_from": []})
+    folder = command.Path(out) / "diagnoses" / f"{index:04d}"
+    folder.mkdir(exist_ok=True)
+    (folder / "diagnosis.json").write_text(json.dumps({"findings": findings, "unexplained": None, "fit": {"heldout_after": 1.0, "noise_floor": 1.0}}))
+    folder.with_suffix(".json").write_text(json.dumps({"seconds": 1.0, "failed": None}))
+    return index, 1.0, None
+
+
+def test_a_season_is_sealed_scored_and_goes_on(tmp_path, monkeypatch, capfd):
+    seen = []
+    monkeypatch.setattr(command, "_diagnosed", lambda out, index: seen.append(index) or perfect(out, index))
+    call = ["blind", "--season", "4", "--frames", "40", "--seed", "11", "--hide", "one,nothing", "--out", str(tmp_path / "s"), "--jobs", "1"]
+    assert cli.main([*call, "--trials", "1-2"]) == 0 and seen == [1, 2]
+    monkeypatch.setattr(command, "_sealed", command.seal)  # a process has been seen to do it
+    sealed = (tmp_path / "s" / "seals" / "0001.sha256").read_text()
+    assert cli.main([*call, "--trials", "1,3"]) == 0 and seen == [1, 2, 3]
+    assert (tmp_path / "s" / "seals" / "0001.sha256").read_text() == sealed
+    assert subprocess.run(["sha256sum", "-c", "0001.sha256"], cwd=tmp_path / "s" / "seals", capture_output=True).returncode == 0
+    tree = json.loads((tmp_path / "s" / "score.json").read_text())
+    assert [t["trial"] for t in tree["trials"]] == [1, 2, 3]
+    assert all(h["outcome"] == "named and placed" for t in tree["trials"] for h in t["hidden"])
+    assert recording.load(tmp_path / "s" / "recordings" / "0003").corners is not None
+    page = (tmp_path / "s" / "score.html").read_text()
+    assert "<script" not in page and "http" not in page and "What was taken for what" in page
+    capfd.readouterr()
+    assert cli.main([*call[:6], "12", *call[7:]]) == 1 and "holds another season, with seed 11 (not 12)" in capfd.readouterr().err
+    truth = tmp_path / "s" / "truth" / "0002.json"
+    truth.write_text(truth.read_text().replace('"effects"', '"effects "', 1))
+    assert cli.main([*call, "--trials", "2"]) == 1 and "is not what was sealed" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("more, said", [(["--hide", "nothign"], "there is no 'nothign'"), (["--trials", "9"], "the season has trials 1 to 2"),
+                                        (["--trials", "a"], "not 'a'"), (["--frames", "3"], "at least 40"), (["--jobs", "0"], "at least 1"),
+                                        (["--effects", "play"], "there is no 'play'"), (["--blindfold", "eyes"], "there is no 'eyes'")])
+def test_a_wrong_season_is_refused_before_anything_is_written(more, said, tmp_path, capfd):
+    assert cli.main(["blind", "--season", "2", "--out", str(tmp_path / "s"), *more]) == 1
+    assert said in capfd.readouterr().err and not (tmp_path / "s").exists()
+
+
+def case(hidden=(), found=(), kind="one", unexplained=False):
+    h = [score.Hidden(name, place, {}, 30.0) for name, place in hidden]
+    f = [score.Found(name, place, {}, list(rivals)) for name, place, *rivals in found]
+    return score.Case(1, kind, None, h, f, unexplained, 1.0, 1.0)
+
+
+def test_answers_are_judged():
+    lag, clock = ("servo_lag", "rig"), ("time_offset", "clock")
+    right = case([lag], [lag])
+    allowed = case([lag], [(*clock, lag)])
+    misplaced = case([("backlash", "strut 1")], [("backlash", "strut 2")])
+    wrong = case([lag], [("creep", "rig")])
+    missed = case([lag])
+    f = {g.name: (g.hits, g.trials) for g in score.figures([right, allowed, misplaced, wrong, missed, case(kind="nothing"),
+                                                            case(kind="nothing", found=[("creep", "rig")])])}
+    assert f["one effect: detected"] == (4, 5) and f["one effect: named first"] == (2, 5) and f["one effect: truth in the set"] == (3, 5)
+    assert f["one effect: at its place"] == (1, 5) and f["nothing hidden: no finding"] == (1, 2) and f["no wrong name in any trial"] == (5, 7)
+    assert score.confusion([right, allowed, wrong, missed])["servo_lag"] == {"servo_lag": 1, "time_offset": 1, "creep": 1, "nothing": 1}
+    both = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), lag], "two")
+    half = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), ("creep", "rig")], "two")
+    f = {g.name: (g.hits, g.trials) for g in score.figures([both, half])}
+    assert f["two effects: both named"] == (1, 2) and f["two effects: no wrong name"] == (1, 2)
+    assert half.seen_as(half.hidden[0]) == "creep"
+    foreign = [case([("cable_pull", "rig")], found, "foreign", unexplained) for found, unexplained in (
+        ([("unknown", "strut 1")], True), ([("warm_up", "rig"), ("unknown", "strut 1")], True), ([], False))]
+    f = {g.name: (g.hits, g.trials) for g in score.figures(foreign)}
+    assert f["outside the catalogue: called unknown"] == (1, 3) and f["outside the catalogue: no name given"] == (2, 3)
+
+
+def test_intervals_are_held_to_the_truth():
+    hidden = score.Hidden("cyclic_error", "strut 1", {"amplitude": 1.0, "phase": 3.1, "order": 1.5}, 30.0)
+    found = score.Found("cyclic_error", "strut 1", {"amplitude": (1.1, [0.9, 1.3]), "phase": (-3.1, [-3.3, -2.9]), "order": (1.4, [1.3, 1.45])}, [])
+    assert score.covered(hidden, found) == [True, True, False]
+    assert score.covered(hidden, replace(found, place="strut 2")) == [] and score.covered(hidden, None) == []
+
+
+def test_exact_intervals():
+    low, high = score.clopper_pearson(2, 150)
+    assert (low, high) == pytest.approx((0.001621, 0.047329), abs=2e-5)  # 2 of 150, from tables
+    assert score.clopper_pearson(0, 10) == (0.0, pytest.approx(1 - 0.025 ** (1 / 10))) and score.clopper_pearson(10, 10)[1] == 1.0
+
+
+def test_what_is_no_season_is_said(tmp_path):
+    (tmp_path / "t.json").write_text('{"effects": [')
+    with pytest.raises(FileError, match="cut off"):
+        score.case(1, tmp_path / "t.json", None)
+    (tmp_path / "t.json").write_text('{"effects": []}')
+    with pytest.raises(FileError, match="no truth of a trial"):
+        score.case(1, tmp_path / "t.json", None)
+
+
+def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
+    from calib.diagnose.strength import strengths
+
+    effects = (parse("backlash:strut2:gap=5e-5"), parse("scale_error:strut3:scale=1e-12"))
+    rng = np.random.default_rng(8)
+    done = simulation.simulate(world.draw(design, rng, 1.0, effects), plan.build(design, "sobol:30,ladder:1", 1), rng)
+    found = []
+    for noise in (0.04, 0.08):
+        simulation.write(done, tmp_path / "rec", rig_text, rng, noise)
+        found.append(strengths(recording.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors))
+    assert 8 < found[0][0] < 60 and found[0][1] < 1e-3  # 50 um over 8 um of noise in one strut of 54 frames, part of it swallowed
+    assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
+
+
+def test_a_scheduler_without_dask_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dask.distributed", None)
+    with pytest.raises(RigError, match="pip install distributed"):
+        command._pool("tcp://127.0.0.1:1", 1)
+
+
+@pytest.mark.slow
+def test_a_season_end_to_end(tmp_path):
+    assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps",
+                     "--out", str(tmp_path / "s")]) == 0
+    tree = json.loads((tmp_path / "s" / "score.json").read_text())
+    strong = [h["outcome"] for t in tree["trials"] for h in t["hidden"] if h["strength"] > 15]
+    assert len(tree["trials"]) == 3 and all(outcome == "named and placed" for outcome in strong)
