@@ -24,13 +24,18 @@ def swaps(knowledge):
     for m in gross:
         if m in done:
             continue
-        trials = [MarkerSwap(f"marker {ids[m]}", float(other), float(turn)) for other in [-1, *(int(ids[n]) for n in gross if n != m)]
-                  for turn in range(4) if other >= 0 or turn]
-        distances = [np.median(_distance(knowledge, (trial,))[rows == m]) for trial in trials]
-        best = int(np.argmin(distances))
-        if distances[best] < max(NEAR * np.median(off[rows == m]), 2.0):
+        trials = [MarkerSwap(f"marker {ids[m]}", -1.0, float(turn)) for turn in (1, 2, 3)]
+        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in gross if n != m for a, b in ((m, n), (n, m))
+                   for turn in range(4)]
+        worst = []
+        for trial in trials:
+            moved = _distance(knowledge, (trial,))
+            both = {m, *np.flatnonzero(np.isin(ids, [int(trial.other), int(trial.place.split(" ")[1])]))}
+            worst.append(max(np.median(moved[rows == n]) for n in both if (rows == n).any()))
+        best = int(np.argmin(worst))
+        if worst[best] < max(NEAR * np.median(off[rows == m]), 2.0):
             out.append(trials[best])
-            done |= {m, *np.flatnonzero(ids == int(trials[best].other))}
+            done |= {m, *np.flatnonzero(np.isin(ids, [int(trials[best].other), int(trials[best].place.split(" ")[1])]))}
     return out
 
 

@@ -23,12 +23,11 @@ GROSS = 60.0  # px; a corner farther off belongs to something else
 class Seen:
     """The corners of a recording and which sightings they belong to.
 
-    observations : Observations of solved frames, frame an index into Knowledge.frames; weights : (n, 2, 2) px^2, their covariance
-    with what comes back in every frame allowed for; sightings : Sightings (k,); row : (n,) sighting of each corner
+    observations : Observations of solved frames, frame an index into Knowledge.frames; markers : MarkerMap
+    sightings : Sightings (k,); row : (n,) sighting of each corner
     """
 
     observations: Observations
-    weights: np.ndarray
     markers: MarkerMap
     sightings: Sightings
     row: np.ndarray
@@ -147,22 +146,22 @@ def _seen(measured, knowledge):
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    return seen_of(kept, measured.weights, marker_map(knowledge.stated))
+    return seen_of(kept, marker_map(knowledge.stated))
 
 
 def within_reach(knowledge):
     """The same without corners so far from where they should be that they belong to something else."""
     seen = knowledge.seen
     near = np.linalg.norm(seen.observations.uv - knowledge.pixels(), axis=1) < GROSS
-    return knowledge if near.all() else replace(knowledge, seen=seen_of(seen.observations.take(near), seen.weights[near], seen.markers))
+    return knowledge if near.all() else replace(knowledge, seen=seen_of(seen.observations.take(near), seen.markers))
 
 
-def seen_of(observations, weights, markers):
-    """Seen of observations (n,) with covariance weights (n, 2, 2), grouped into sightings."""
+def seen_of(observations, markers):
+    """Seen of observations (n,), grouped into sightings."""
     key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (len(markers.id) + 1) + observations.marker
     _, first, row = np.unique(key, return_index=True, return_inverse=True)
     sightings = Sightings(observations.frame[first], observations.camera[first], observations.marker[first])
-    return Seen(observations, weights, markers, sightings, row)
+    return Seen(observations, markers, sightings, row)
 
 
 def moved(knowledge, cameras, mechanism, local):

@@ -19,6 +19,10 @@ from vision.derivatives import derivatives
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 RANK = 1e-11  # of the greatest eigenvalue; freedoms below are none
+MEDIAN = 0.4549364  # of chi-square with one degree of freedom
+GROSS = 5.0  # px; a corner farther off says nothing of what comes back
+REPEATS = 5  # of a standing corner from which its mean counts
+STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 ROUNDS = 3  # of weighing the struts anew by their scatter
 
 
@@ -133,7 +137,7 @@ def linearise(knowledge):
     k = knowledge
     priors, names, camera_columns = [], [], {}
     if k.seen is not None:
-        order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns = _image(k)
+        order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns, own = _image(k)
         names += image_names
         priors += image_priors
     else:
@@ -142,7 +146,6 @@ def linearise(knowledge):
     sigma, excess = 1.0, 0.0
     if len(rho):
         inner, image = _split(np.column_stack([rho, V]), local, edges)
-        own = np.repeat(np.isclose(k.seen.weights[order], k.seen.observations.covariance[order]).all(axis=(1, 2)), 2)
         sigma = _noise(image, priors, own, 6 * len(k.t))
         V /= sigma
         far = np.abs(rho / sigma)
@@ -172,8 +175,10 @@ def _image(k):
     seen = k.seen
     o = seen.observations
     n, L = len(o), 6 + 6 * len(k.moving)
-    whitener = np.linalg.inv(np.linalg.cholesky(seen.weights))
-    rho = np.einsum("nij,nj->ni", whitener, o.uv - k.pixels())
+    off = o.uv - k.pixels()
+    weights = _weights(o, off, k.moving)
+    whitener = np.linalg.inv(np.linalg.cholesky(weights))
+    rho = np.einsum("nij,nj->ni", whitener, off)
     J_local, shared, names, priors, camera_columns = np.zeros((n, 2, L)), [], [], [], {}
     for i, rows, J_platform, J_camera, J_lens in derivatives(o, k.state):
         camera = k.stated.cameras[i]
@@ -202,7 +207,34 @@ def _image(k):
         kept = s > 1e-9 * s[0]
         local[2 * a : 2 * b, : kept.sum()] = u[:, kept]
         to_local[f][:, : kept.sum()] = (vt[kept].T / s[kept]) / scale[:, None]
-    return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns
+    own = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
+    return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns, own
+
+
+def _weights(o, off, moving):
+    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still.
+
+    off : (n, 2) px residuals. The middle of all standing corners' means tells it, so that a marker out of its place or a lens that
+    bends one camera's image does not pass for it. See vision.robust.standing_error, which asks the same of all corners' mean square
+    """
+    fixed = ~o.on_platform & ~np.isin(o.camera, list(moving))
+    rows = np.flatnonzero(fixed & (np.abs(off).max(axis=1) < GROSS))
+    if not len(rows):
+        return o.covariance
+    key = (o.camera[rows] * (o.marker.max() + 1) + o.marker[rows]) * 4 + o.corner[rows]
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    many = count >= REPEATS
+    if many.sum() < STANDING_GROUPS:
+        return o.covariance
+    mean = np.stack([np.bincount(index, weights=off[rows, c]) / count for c in range(2)], axis=1)
+    within = np.median((off[rows] - mean[index])[many[index]] ** 2) / MEDIAN
+    chance = within / np.median(count[many])
+    excess = np.median(mean[many] ** 2) / MEDIAN - chance
+    if excess < STANDING_PROOF * chance / np.sqrt(many.sum()):
+        return o.covariance
+    weights = o.covariance.copy()
+    weights[rows] += (count[index] * excess)[:, None, None] * np.eye(2)
+    return weights
 
 
 def _split(rows, local, edges):
@@ -219,7 +251,7 @@ def _noise(image, priors, own, lost):
     left, V = np.clip(image[:, 0], -50, 50), image[:, 1:]
     half = _orthonormal(V.T @ V + np.diag(np.square(priors)))
     left = left - V @ (half @ (half.T @ (V.T @ left)))
-    return float(np.sqrt(np.median(left[own if own.any() else slice(None)] ** 2) / 0.4549364 / (1 - (lost + half.shape[1]) / len(left))))
+    return float(np.sqrt(np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))))
 
 
 def _orthonormal(gram):
@@ -237,7 +269,7 @@ def _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image,
     inner = image.T @ image
     for turn in range(ROUNDS):
         W = np.linalg.inv(np.linalg.cholesky(S + np.diag(scatter**2))) if axes else np.zeros((F, 0, 0))
-        rows = np.concatenate([(W @ lengths).reshape(F * axes, -1), np.column_stack([np.zeros(len(priors)), np.diag(priors)])])
+        rows = np.concatenate([(W @ lengths).reshape(F * axes, lengths.shape[2]), np.column_stack([np.zeros(len(priors)), np.diag(priors)])])
         gram = rows.T @ rows
         gram[: seen + 1, : seen + 1] += inner
         half = _orthonormal(gram[1:, 1:])

@@ -3,8 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from calib.diagnose import scan
+from calib.diagnose.planes import MEDIAN
+from calib.diagnose.prove import corner_noise
 from calib.diagnose.search import mount_pixels
 from rig.effects.lens_distortion import products
 from rig.pose import difference
@@ -12,7 +15,7 @@ from rig.pose import difference
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing
 TIME_KNOTS = 8  # of a smooth function of time
 WARP = 6  # degree of a smooth warp of an image
-JITTER = 6.0  # standard errors by which a camera must shake from frame to frame
+MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ def unknowns(planes):
         out += _cameras(planes)
     count = max(len(out), 1)
     found = [u for u in out if u is not None and u.p_value * count < ALPHA]
-    return sorted(found, key=lambda u: u.p_value if u.p_value > 0 else -u.drop)
+    return sorted(found, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.drop))
 
 
 def _struts(planes):
@@ -47,18 +50,24 @@ def _struts(planes):
         series = np.interp(k.t, k.sensors.t, values)
         if np.ptp(series) > 0:
             bases[(name,)] = _powers(series)
-    direction = _history(k)
+    direction, lengths = _history(k), k.motion(()).lengths
+    for j in range(k.axes):
+        bases[(f"strut {j + 1}'s position",)] = np.stack([_unit(lengths[:, j]) ** n for n in (2, 3, 4)], axis=1)
     out = []
     for depends, basis in bases.items():
         for i in range(k.axes):
-            functions = np.stack([direction[:, i], direction[:, i] * _unit(k.motion(()).lengths[:, i])], axis=1) if basis is None else basis
+            functions = np.stack([direction[:, i], direction[:, i] * _unit(lengths[:, i])], axis=1) if basis is None else basis
             weights = np.zeros((len(k.t), k.axes, functions.shape[1]))
             weights[:, i] = functions
-            out.append(_tested(planes, atoms, weights, f"strut {i + 1}", "m", depends, lambda c, f=functions: f @ c))
+            out.append(_tested(planes, atoms, weights, f"strut {i + 1}", "m", depends, atoms.gamma[:, i, i].sum()))
+    inverse = np.linalg.inv(planes.W)
+    left = (inverse @ planes.struts[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
     for i in np.flatnonzero(planes.scatter > 0):
-        expected = np.sqrt(np.mean(np.linalg.inv(planes.W)[:, i] ** 2, axis=0).sum())
-        ratio = (planes.scatter[i] / expected) ** 2 * np.sqrt(len(k.t) / 2)
-        out.append(Unknown(f"strut {i + 1}", float(planes.scatter[i]), "m", (), float(np.exp(-0.5 * ratio**2)), float(ratio**2)))
+        own = np.mean((inverse[:, i] ** 2).sum(axis=1)) - planes.scatter[i] ** 2
+        middle = np.median(left[:, i] ** 2) / MEDIAN / own - 1  # a few wild frames are no scatter
+        ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
+        if ratio > 0:
+            out.append(Unknown(f"strut {i + 1}", float(planes.scatter[i]), "m", (), float(norm.sf(ratio)), float(ratio**2)))
     return out
 
 
@@ -75,30 +84,28 @@ def _cameras(planes):
             pixels = mount_pixels(planes, place)
             atoms = scan.view_atoms(planes, pixels)
             weights = np.einsum("fk,ab->fabk", time, np.eye(6)).reshape(len(k.t), 6, -1)
-            size = np.sqrt((pixels[rows] ** 2).sum(axis=1).mean(axis=0))
-            out.append(_tested(planes, atoms, weights, place, "px", ("time",),
-                               lambda c, s=size: (time @ c.reshape(6, -1).T) * s))
+            out.append(_tested(planes, atoms, weights, place, "px", ("time",), rows.sum() / corner_noise(planes) ** 2))
+        if any(e.name == "lens_distortion" and e.place == place for e in k.effects):
+            continue  # what its image still bends by belongs to the lens that was named
         basis = products(camera, expected[rows], WARP)
         pixels = np.zeros((len(o), 2, 2 * basis.shape[1]))
         pixels[rows, 0, : basis.shape[1]] = basis
         pixels[rows, 1, basis.shape[1] :] = basis
         atoms = scan.view_atoms(planes, pixels)
         weights = np.broadcast_to(np.eye(pixels.shape[2]), atoms.gamma.shape)
-        out.append(_tested(planes, atoms, weights, place, "px", ("image position",),
-                           lambda c, b=basis: np.stack([b @ c[: b.shape[1]], b @ c[b.shape[1] :]])))
+        out.append(_tested(planes, atoms, weights, place, "px", ("image position",), rows.sum() / corner_noise(planes) ** 2))
     return out
 
 
-def _tested(planes, atoms, weights, place, unit, depends, function):
-    """Unknown of one basis (F, a, q), tested whole; its size is that of the fitted function less what noise alone would fit."""
+def _tested(planes, atoms, weights, place, unit, depends, information):
+    """Unknown of one basis (F, a, q), tested whole. information : sum of 1 / unit^2 by which the place is weighed: what the fit
+    explains beyond what noise alone would, freedoms taken out, tells the function's size."""
     drop, coefficients, rank, _ = scan.solve(*scan.framewise(atoms, weights[None]))
     if rank[0] == 0:
         return None
     spread, active = scan.dispersion(planes, atoms, weights, coefficients[0])
     p = scan.davies(drop / spread, rank[0], spread, active)
-    values = function(coefficients[0])
-    share = max(0.0, 1 - rank[0] / max(drop[0] / spread, 1e-9))
-    return Unknown(place, float(np.sqrt(np.mean((values - values.mean()) ** 2) * share)), unit, depends, p, float(drop[0] / spread))
+    return Unknown(place, float(np.sqrt(max(drop[0] - rank[0], 0.0) / information)), unit, depends, p, float(drop[0] / spread))
 
 
 def _unit(x):

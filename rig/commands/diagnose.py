@@ -26,9 +26,11 @@ def run(arguments):
     out = fresh_folder(arguments.out, recording.folder)
 
     from calib.diagnose import result
+    from calib.diagnose.page import diagnosis_page
 
     found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
     result.save(out, found, recording)
+    diagnosis_page(out / "diagnosis.html", recording, found)
     tree = result.to_dict(found)
     for finding in tree["findings"]:
         print(f"{finding['effect']} at {finding['place']}: " + ", ".join(_parameter(*item) for item in finding["parameters"].items()))
@@ -40,7 +42,7 @@ def run(arguments):
     scale, unit = (1e6, "um") if fit["unit"] == "m" else (1, fit["unit"])
     before, after, floor = (fit[name] * scale for name in ("heldout_before", "heldout_after", "noise_floor"))
     print(f"held out: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
-    print(f"written: {out / 'diagnosis.json'}")
+    print(f"written: {out / 'diagnosis.json'}; look at {out / 'diagnosis.html'}")
 
 
 def _parameter(name, parameter):

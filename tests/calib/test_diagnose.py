@@ -1,0 +1,121 @@
+"""What physics was left out: hidden in simulated recordings, and found with its place and size; nothing where there is nothing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnose import gross, result, scan, settle, unknown
+from calib.diagnose.hypotheses import Signatures, families
+from calib.diagnose.knowledge import of_recording
+from calib.diagnose.planes import linearise
+from rig import plan, recording
+from rig.effects.parse import parse
+from rig.layout import layout
+from synthetic import simulation, world
+from tests.numeric import jacobian
+
+PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
+
+
+def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04):
+    """Recording of a secret machine with effects (texts)."""
+    rng = np.random.default_rng(seed)
+    secret = world.draw(design, rng, 1.0, tuple(parse(text) for text in effects))
+    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, layout(0.3), rng, noise)
+    return recording.load(folder)
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory, design):
+    rec = recorded(tmp_path_factory.mktemp("quiet"), design, ())
+    return of_recording(rec)[0]
+
+
+def test_without_anything_left_out_both_planes_hold_noise_alone(quiet):
+    planes = linearise(quiet)
+    degrees = len(planes.image) - 6 * planes.frames
+    assert (planes.image**2).sum() == pytest.approx(degrees, rel=0.03)
+    assert (planes.struts**2).sum() == pytest.approx(6 * planes.frames - 42, rel=0.15)
+    assert planes.sigma == pytest.approx(1, abs=0.03) and not planes.scatter.any()
+    assert np.abs(planes.basis.struts.T @ planes.struts + planes.basis.image.T @ planes.image).max() < 1e-6  # freedoms are taken out
+
+
+def test_nothing_unknown_where_nothing_is(quiet):
+    assert unknown.unknowns(linearise(quiet)) == []
+
+
+def test_strut_signatures_are_what_effects_do(quiet):
+    asked, _ = families(quiet, only=["compliance rig", "thermal_expansion rig", "creep strut 2", "time_offset"])
+    signatures, motion = Signatures(quiet), quiet.motion(())
+    for family in asked[:4]:
+        shape = family.shapes[len(family.shapes) // 2]
+        column = signatures.deviation(family, shape, motion)[..., 0]
+        small = 1e-3 * family.linear[0][2]
+        moved = quiet.effective((family.effect(shape, [small]),)) - quiet.effective(())
+        np.testing.assert_allclose(moved / small, column, rtol=1e-3, atol=1e-3 * np.abs(column).max())
+
+
+def test_davies_bound_honours_the_search():
+    rng = np.random.default_rng(0)
+    t = np.linspace(0, 1, 200)
+    shapes = np.stack([(t > m).astype(float) - (t > m).mean() for m in np.linspace(0.05, 0.95, 91)])
+    shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
+    p = np.array([scan.davies((shapes @ rng.normal(size=200)) ** 2, 1, 1.0, 5000) for _ in range(2000)])
+    for level in (0.2, 0.05, 0.01):  # a bound: never too bold, and not idle either
+        assert level / 6 < (p < level).mean() < level + 3 * np.sqrt(level / 2000)
+
+
+@pytest.mark.parametrize(("text", "name", "parameter", "value"), [
+    ("backlash:strut5:gap=6e-5", "backlash strut 5", "gap", 6e-5),
+    ("missed_steps:strut2:jump=8e-5,time=300", "missed_steps strut 2", "jump", 8e-5),
+    ("edge_bias:cameras:bias=0.2", "edge_bias cameras", "bias", 0.2),
+])
+def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value):
+    rec = recorded(tmp_path, design, [text])
+    kind, place = name.split(" ", 1)
+    alike = {"backlash": ["hysteresis"], "missed_steps": ["warm_up"], "edge_bias": ["print_scale"]}[kind]
+    found = result.diagnose(rec, only=[kind, *alike])
+    tree = json.loads(json.dumps(result.to_dict(found)))
+    assert [(f["effect"], f["place"]) for f in tree["findings"]] == [(kind, place)]
+    fitted = tree["findings"][0]["parameters"][parameter]
+    sigma = (fitted["ci95"][1] - fitted["ci95"][0]) / 3.92
+    assert abs(fitted["value"] - value) < 4 * sigma and sigma < 0.1 * value
+    fit = tree["fit"]
+    assert fit["heldout_before"] > 1.2 * fit["heldout_after"] and fit["heldout_after"] < 1.1 * fit["noise_floor"]
+
+
+def test_faces_exchanged_are_named(tmp_path, design):
+    rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"])
+    knowledge, _, _ = of_recording(rec)
+    found = gross.swaps(knowledge)
+    assert len(found) == 1 and {found[0].place, f"marker {int(found[0].other)}"} == {"marker 8", "marker 6"}
+    left = gross.exchanged(knowledge, found)
+    assert np.abs(left.seen.observations.uv - left.pixels()).max() < 3
+
+
+def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
+    rec = recorded(tmp_path, design, [])
+    knowledge = of_recording(rec)[0]
+    lengths = knowledge.commands.values.copy()
+    lengths[:, 3] -= 3e-5 * np.cos(8 * (lengths[:, 0] - lengths[:, 0].mean()) / np.ptp(lengths[:, 0]))  # one strut minds another's place
+    odd = replace(knowledge, commands=replace(knowledge.commands, values=lengths))
+    settled = settle.settle(odd, Signatures(odd))
+    left = unknown.unknowns(settled.planes)
+    assert left and left[0].place == "strut 4" and left[0].depends_on in (("pose",), ())
+
+
+def test_tangents_of_what_is_seen_are_derivatives(quiet):
+    effect = parse("camera_drift:cam1:motion=1e-4/2e-4/0/0/1e-4/0,time_constant=500")
+    knowledge = quiet.with_effects((effect,))
+    planes = linearise(knowledge)
+    coordinates, column = settle.tangents(planes, Signatures(knowledge))
+    at = [c.name for c in coordinates].index("time_constant")
+
+    def whitened(x):
+        moved = (coordinates[at].written(effect, x[0]),)
+        return planes.fold((knowledge.pixels(moved) - knowledge.pixels())[..., None]).image[:, 0]
+
+    expected = jacobian(whitened, np.array([coordinates[at].read(effect)]), 1e-4)[..., 0]
+    np.testing.assert_allclose(column.image[:, at], expected, atol=1e-4 * np.abs(expected).max())
