@@ -15,6 +15,7 @@ from rig.errors import MissingLibrary, RigError
 DIAGNOSE = ("import sys; from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[1]); sys.exit(main(sys.argv[2:]))")
 SEAL = "import json, sys; from rig.commands.blind import seal; seal(*json.loads(sys.argv[1]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
 INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
 
 
@@ -126,8 +127,8 @@ def seal(out, index, settings):
 
 
 def _sealed(out, index, settings):
-    done = subprocess.run([sys.executable, "-c", SEAL, json.dumps([out, index, settings])], capture_output=True, text=True,
-                          env={**os.environ, **ONE_THREAD})
+    done = subprocess.run([sys.executable, "-P", "-c", SEAL, json.dumps([out, index, settings])], capture_output=True, text=True,
+                          env=_environment())
     if done.returncode:
         raise RigError(f"trial {index} could not be sealed: {done.stderr.strip() or 'stopped'}")
 
@@ -141,14 +142,19 @@ def _diagnosed(out, index):
     (target / "diagnosis.json").unlink(missing_ok=True)
     record.unlink(missing_ok=True)
     start = time.monotonic()
-    command = [sys.executable, "-c", DIAGNOSE, out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target]
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **ONE_THREAD})
+    command = [sys.executable, "-P", "-c", DIAGNOSE, out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target]
+    done = subprocess.run(command, capture_output=True, text=True, env=_environment())
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
         return index, seconds, "stopped; it will be diagnosed when the season goes on"
     error = None if done.returncode == 0 else done.stderr.strip() or f"exit status {done.returncode}"
     write_text(record, json.dumps({"seconds": round(seconds, 2), "failed": error}) + "\n")
     return index, seconds, error
+
+
+def _environment():
+    """Of a child: one thread, and this code before any other."""
+    return {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
 def _seal(out, index):
