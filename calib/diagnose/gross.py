@@ -20,12 +20,13 @@ def swaps(knowledge):
     off = _distance(knowledge, ())
     ids, rows = seen.markers.id, seen.sightings.marker
     gross = [m for m in np.unique(rows) if np.mean(off[rows == m] > FAR) > SHARE]
+    unseen = np.setdiff1d(np.arange(len(ids)), rows)  # a face that no camera sees may have been exchanged as well
     out, done = [], set()
     for m in gross:
         if m in done:
             continue
         trials = [MarkerSwap(f"marker {ids[m]}", -1.0, float(turn)) for turn in (1, 2, 3)]
-        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in gross if n != m for a, b in ((m, n), (n, m))
+        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in (*gross, *unseen) if n != m for a, b in ((m, n), (n, m))
                    for turn in range(4)]
         worst = []
         for trial in trials:

@@ -91,8 +91,7 @@ def families(knowledge, only=None, without=(), rng=None):
 
 def _places(kind, k):
     """The places at which an effect can be asked for in this recording. Raises RigError where the recording lacks what it needs."""
-    if k.axes:
-        _trial(kind, k)
+    _trial(kind, k)
     places = []
     for place in kind.places:
         if place == "strut":

@@ -152,6 +152,8 @@ def _seen(measured, knowledge):
 def within_reach(knowledge):
     """The same without corners so far from where they should be that they belong to something else."""
     seen = knowledge.seen
+    if seen is None:
+        return knowledge
     near = np.linalg.norm(seen.observations.uv - knowledge.pixels(), axis=1) < GROSS
     return knowledge if near.all() else replace(knowledge, seen=seen_of(seen.observations.take(near), seen.markers))
 

@@ -18,7 +18,6 @@ from rig.pose import vector
 from rig.writing import write_text
 
 SCHEMA = "diagnosis/1"
-KEPT = 0.3  # share of an effect's weight that it must keep beside what is unknown, or the unknown takes its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.planes import linearise
+from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
 from rig.effects.base import check
@@ -15,6 +16,8 @@ ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told a
 COSINE = 0.99  # between signatures, freedoms taken out, from which two are the same
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
+HELD_OUT = 2.0  # standard errors by which an effect must do better on stretches that it was not fitted to
+TRIED = 3  # hypotheses that may fail there before the search ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,18 +53,23 @@ def select(knowledge, families, signatures, progress=None):
     """Selection of the effects that a Knowledge with none needs. progress : called with (label, done, of), or None"""
     settled = settle(knowledge, signatures)
     before = settled.planes
-    chosen = []  # families of the admitted, in their order
+    chosen, refused = [], []  # families of the admitted, in their order; and of those that did not predict what was held out
     for _ in range(MOST):
         label = f"searching beside {len(chosen)} effects" if chosen else "searching"
         planes = settled.planes if settled.column is None else settled.planes.without(settled.column)
         signatures = signatures.at(settled.knowledge)
         scores = search(planes, families, signatures, (lambda done, of, label=label: progress(label, done, of)) if progress else None)
-        best = next((s for s in scores if _convincing(s, len(families), planes.size)), None)
-        if best is None:
+        convincing = [s for s in scores if _convincing(s, len(families), planes.size) and s.family not in refused]
+        taken = None
+        for best in convincing[:TRIED]:
+            trial = admit(settled, best, signatures)
+            if prove(trial, {len(chosen)}, best.family.plane if knowledge.axes else "view").gain > HELD_OUT:
+                taken = trial
+                break
+            refused.append(best.family)
+        if taken is None:
             break
-        chosen.append(best.family)
-        settled = admit(settled, best, signatures)
-        settled, chosen = _prune(settled, chosen, signatures)
+        settled, chosen = _prune(taken, [*chosen, best.family], signatures)
     settled, chosen, findings = _confirm(settled, chosen, families, signatures, progress)
     return Selection(settled, findings, len(families), before)
 

@@ -67,12 +67,14 @@ class Settled:
         return _comparable(self.planes)
 
     def wald(self, effect):
-        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations."""
-        at = [i for i, c in enumerate(self.coordinates) if c.effect == effect and c.role in ("linear", "inverse", "size")]
-        theta = self.values[at]
-        block = self.covariance[np.ix_(at, at)]
+        """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations, its shape held:
+        a shape that its size leaves open says nothing against it."""
+        own = [i for i, c in enumerate(self.coordinates) if c.effect == effect]
+        size = np.array([self.coordinates[i].role in ("linear", "inverse", "size") for i in own])
+        theta, block = self.values[own][size], self.covariance[np.ix_(own, own)]
         scale = np.sqrt(np.diag(block))
-        return float((theta / scale) @ np.linalg.lstsq(block / scale[:, None] / scale, theta / scale, rcond=1e-9)[0]), len(at)
+        precision = np.linalg.pinv(block / scale[:, None] / scale, rcond=1e-10, hermitian=True) / scale[:, None] / scale
+        return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
 
     def intervals(self, effect):
         """{parameter: (value, low, high)} at 95 % of effect number `effect`; vectors as tuples."""
