@@ -40,8 +40,11 @@ def _picture(figure):
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
 
 
-def measurement_page(path, recording, measurement, collected):
-    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames."""
+def measurement_page(path, recording, measurement, collected, suspects=()):
+    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
+
+    suspects : of vision.identity, markers that are not what rig.toml says
+    """
     m = measurement
     total = len(recording.exposures.times()[0])
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
@@ -53,6 +56,9 @@ def measurement_page(path, recording, measurement, collected):
              "<h2>What the cameras leave over</h2><p class=note>Mean residual over patches of the image, drawn enlarged; a pattern here is a lens "
              "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", _coverage(vector(m.T_base_platform)),
              "<h2>How well each pose is known</h2>", _uncertainty(m, position, rotation), "<h2>Cameras</h2>", _cameras(recording, m)]
+    if suspects:
+        parts.insert(1, "<h2>Markers that are not what rig.toml says</h2><p class=note>What disagrees is left out of the poses.</p><ul>"
+                     + "".join(f"<li>{html.escape(str(suspect))}</li>" for suspect in suspects) + "</ul>")
     worst = _worst_markers(m)
     if worst:
         parts += ["<h2>Markers that disagree</h2><p class=note>Share of a marker's corners set aside: a face askew, a wrong print, a covered "

@@ -274,3 +274,18 @@ def test_nets_are_true_to_scale(tmp_path):
     edge = target.edge * 1e3
     np.testing.assert_allclose(places["+y"] - places["+x"], [edge, 0], atol=0.3)  # right of +x, seen from outside, lies +y
     np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)
+
+
+def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
+    from rig.effects.marker_swap import MarkerSwap
+
+    folder = tmp_path / "swapped"
+    marker = next(face[1] for target in design.targets if target.body == "platform" for face in target.faces if face[0] == "+z")
+    other = next(face[1] for target in design.targets[::-1] if target.body == "platform" for face in target.faces if face[0] == "+z")
+    assert marker != other
+    _, truth = make_recording(folder, design, rig_text, 5, count=10, effects=(MarkerSwap(f"marker {marker}", other=float(other)),))
+    done = run("measure", folder, "--out", tmp_path / "out")
+    said = f"marker {marker}: is exchanged with marker {other}"
+    assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
+    assert said in (tmp_path / "out/report.html").read_text()
+    assert np.abs(difference(recording.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3

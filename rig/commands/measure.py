@@ -29,15 +29,19 @@ def run(arguments):
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page
+    from vision.collect import image_reader
+    from vision.identity import suspects
     from vision.recorded import measure_recording
+    from vision.targets import marker_map
 
     measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress())
+    wrong = suspects(measured, marker_map(recording.design), collected, image_reader(recording))
     text = (recording.folder / "rig.toml").read_text(encoding="utf-8-sig")
     writing.write_text(out / "rig.toml", with_cameras(text, measured.design.cameras))
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures)
-    measurement_page(out / "report.html", recording, measured, collected)
+    measurement_page(out / "report.html", recording, measured, collected, wrong)
     position, rotation = uncertainty(measured.covariance)
     total = len(recording.exposures.times()[0])
     print(f"{len(measured.frames)} of {total} frames solved, {measured.inliers.sum()} of {len(measured.inliers)} corners used; "
@@ -47,5 +51,9 @@ def run(arguments):
         moved = vector(stated.pose.inv() * camera.pose)
         print(f"camera {camera.name}: {(moved[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(moved[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
+    if wrong:
+        print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
+        for suspect in wrong:
+            print(f"  {suspect}")
     print_unsolved(measured)
     print(f"written: {out}/poses.csv, corners.csv, rig.toml; look at {out}/report.html")
