@@ -38,6 +38,18 @@ def read_image(path):
     return image
 
 
+def image_reader(recording):
+    """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is none."""
+    e = recording.exposures
+    names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
+
+    def read(frame, camera):
+        name = names.get((int(frame), camera))
+        return None if name is None else grey(read_image(recording.folder / name))[0]
+
+    return read
+
+
 def collect(recording, marker_map, progress=None):
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
@@ -94,7 +106,8 @@ def learn_spread(read, names, camera, marker_map):
 def look_again(recording, collected, measurement, marker_map, progress=None):
     """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
 
-    measurement : Measurement of the collected corners. A marker is added where it is found within FALSE_ALARM of its place.
+    measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
+    FALSE_ALARM of its place.
     """
     camera_of = {camera.name: camera for camera in measurement.design.cameras}
     seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
@@ -112,7 +125,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     def one(item):
         frame, camera, name, numbers, places = item
         _, full = grey(read_image(recording.folder / name))
-        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN))
+        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN), verify=True)
 
     found = []
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):

@@ -65,7 +65,8 @@ def grey(image, reader=True):
 
 
 @lru_cache
-def _detector(name):
+def dictionary_reader(name):
+    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -90,7 +91,7 @@ def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None):
     eight, full = grey(image)
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
-        corners, ids, _ = _detector(name).detectMarkers(eight)
+        corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
         ids = [] if ids is None else ids.ravel().tolist()
         rows = marker_map.rows(np.array(ids, int)).tolist() if ids else []
         for number, row, quad in zip(ids, rows, corners):

@@ -3,7 +3,8 @@
 import numpy as np
 
 from rig.errors import NotEnoughData
-from vision.collect import collect, look_again
+from vision.collect import collect, image_reader, look_again
+from vision.identity import LOOKED_AT, why_none
 from vision.measure import measure
 from vision.observations import from_corners
 from vision.targets import marker_map
@@ -45,7 +46,7 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
         raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
     found = collect(recording, markers, said("reading images"))
     if not len(found.corners.frame):
-        raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {sum(map(bool, recording.exposures.image))} images")
+        raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
     measured = solve(found.corners)
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
@@ -80,3 +81,14 @@ def refused(measured):
         frame, _ = np.unique(np.stack([o.frame[mask], o.camera[mask] * 100_000 + o.marker[mask]], axis=1), axis=0).T
         enough &= np.bincount(frame, minlength=len(o.frames)) >= 2
     return [number for number in o.frames[enough].tolist() if number in measured.unsolved]
+
+
+def _why_none(recording, found, markers):
+    """How many images there are, and what some of them show instead of the rig's markers."""
+    e = recording.exposures
+    images = [(frame, camera) for frame, camera, name in zip(e.frame, e.camera, e.image) if name]
+    if found.left_out:
+        return f"{len(images)} images that could be placed: " + "; ".join(sorted({reason for *_, reason in found.left_out})[:5])
+    read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
+    why = why_none([read(*images[k]) for k in sorted(some)], markers)
+    return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")

@@ -41,6 +41,7 @@ class Knowledge:
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None; common : (F, 6, k) their shared errors
     commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
+    standing : px, what comes back in every frame where neither camera nor marker moves
     """
 
     design: Design
@@ -54,6 +55,7 @@ class Knowledge:
     sensors: Sensors | None
     seen: Seen | None
     effects: tuple = ()
+    standing: float = 0.0
 
     @property
     def state(self):

@@ -20,7 +20,6 @@ CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wi
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 RANK = 1e-11  # of the greatest eigenvalue; freedoms below are none
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
-GROSS = 5.0  # px; a corner farther off says nothing of what comes back
 REPEATS = 5  # of a standing corner from which its mean counts
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 ROUNDS = 3  # of weighing the struts anew by their scatter
@@ -175,10 +174,9 @@ def _image(k):
     seen = k.seen
     o = seen.observations
     n, L = len(o), 6 + 6 * len(k.moving)
-    off = o.uv - k.pixels()
-    weights = _weights(o, off, k.moving)
+    weights = _weights(o, k)
     whitener = np.linalg.inv(np.linalg.cholesky(weights))
-    rho = np.einsum("nij,nj->ni", whitener, off)
+    rho = np.einsum("nij,nj->ni", whitener, o.uv - k.pixels())
     J_local, shared, names, priors, camera_columns = np.zeros((n, 2, L)), [], [], [], {}
     for i, rows, J_platform, J_camera, J_lens in derivatives(o, k.state):
         camera = k.stated.cameras[i]
@@ -211,30 +209,44 @@ def _image(k):
     return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns, own
 
 
-def _weights(o, off, moving):
-    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still.
-
-    off : (n, 2) px residuals. The middle of all standing corners' means tells it, so that a marker out of its place or a lens that
-    bends one camera's image does not pass for it. See vision.robust.standing_error, which asks the same of all corners' mean square
-    """
-    fixed = ~o.on_platform & ~np.isin(o.camera, list(moving))
-    rows = np.flatnonzero(fixed & (np.abs(off).max(axis=1) < GROSS))
-    if not len(rows):
+def _weights(o, k):
+    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
+    if not k.standing:
         return o.covariance
-    key = (o.camera[rows] * (o.marker.max() + 1) + o.marker[rows]) * 4 + o.corner[rows]
+    rows, index, count = _standing(o, k.moving)
+    weights = o.covariance.copy()
+    weights[rows] += (count[index] * k.standing**2)[:, None, None] * np.eye(2)
+    return weights
+
+
+def _standing(o, moving):
+    """(rows of corners that stand still, which one each is, how often it is seen)."""
+    rows = np.flatnonzero(~o.on_platform & ~np.isin(o.camera, list(moving)))
+    key = (o.camera[rows] * (o.marker.max(initial=0) + 1) + o.marker[rows]) * 4 + o.corner[rows]
     _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    return rows, index, count
+
+
+def standing(knowledge):
+    """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
+
+    The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does not pass for
+    it. See vision.robust.standing_error, which asks the same of their mean square
+    """
+    k = knowledge
+    if k.seen is None:
+        return 0.0
+    o = k.seen.observations
+    rows, index, count = _standing(o, k.moving)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:
-        return o.covariance
-    mean = np.stack([np.bincount(index, weights=off[rows, c]) / count for c in range(2)], axis=1)
-    within = np.median((off[rows] - mean[index])[many[index]] ** 2) / MEDIAN
-    chance = within / np.median(count[many])
+        return 0.0
+    off = (o.uv - k.pixels())[rows]
+    mean = np.stack([np.bincount(index, weights=off[:, c]) / count for c in range(2)], axis=1)
+    chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
     excess = np.median(mean[many] ** 2) / MEDIAN - chance
-    if excess < STANDING_PROOF * chance / np.sqrt(many.sum()):
-        return o.covariance
-    weights = o.covariance.copy()
-    weights[rows] += (count[index] * excess)[:, None, None] * np.eye(2)
-    return weights
+    return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0
+
 
 
 def _split(rows, local, edges):

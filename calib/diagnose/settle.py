@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.knowledge import Knowledge, moved
-from calib.diagnose.planes import Column, Planes, linearise
+from calib.diagnose.planes import Column, Planes, linearise, standing
 from calib.diagnose.search import column_of
 from rig.effects.base import Effect, check
 from rig.pose import exp
@@ -120,7 +120,16 @@ def admit(settled, score, signatures):
 
 
 def settle(knowledge, signatures):
-    """Settled of the admitted effects from where their parameters stand. What cannot improve any more stays."""
+    """Settled of the admitted effects from where their parameters stand. What cannot improve any more stays.
+
+    Standing corners are first taken at their covariance; only what they then still miss together, in every frame, loosens them.
+    """
+    settled = _settle(replace(knowledge, standing=0.0), signatures)
+    left = standing(settled.knowledge)
+    return _settle(replace(settled.knowledge, standing=left), signatures) if left else settled
+
+
+def _settle(knowledge, signatures):
     planes = linearise(knowledge)
     coordinates, column = tangents(planes, signatures)
     for _ in range(MAX_ITERATIONS):

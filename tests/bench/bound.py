@@ -9,7 +9,7 @@ from tests.vision.pictures import camera, picture, quad
 from vision.detect import place
 
 NAME = "DICT_5X5_100"
-BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 25, 45, 65), (25, 50, 80, 120)
+BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 35, 65), (25, 50, 120)
 QUADS, DRAWS, SAMPLES = 3, 8, 8
 WHITE, BLACK = 190.0, 20.0
 

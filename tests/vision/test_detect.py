@@ -162,7 +162,7 @@ def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
     here = pose([0, 0, 0], [0, 0, 0])
     view, markers, corners, image = cube_scene(design, here)
     whole = detect(image, view, markers)
-    monkeypatch.setattr("vision.detect._detector", lambda name: pytest.fail("the whole image was searched"))
+    monkeypatch.setattr("vision.detect.dictionary_reader", lambda name: pytest.fail("the whole image was searched"))
     for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
         found = detect(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))
         assert found.marker.tolist() == [3]
