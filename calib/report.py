@@ -40,17 +40,11 @@ def _picture(figure):
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
 
 
-<<<<<<< HEAD
-def measurement_page(path, recording, measurement, collected, places=None, statement=()):
+def measurement_page(path, recording, measurement, collected, places=None, statement=(), suspects=()):
     """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
 
     places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording determines
-=======
-def measurement_page(path, recording, measurement, collected, suspects=()):
-    """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
-
     suspects : of vision.identity, markers that are not what rig.toml says
->>>>>>> speed
     """
     m = measurement
     total = len(recording.exposures.times()[0])
@@ -63,17 +57,14 @@ def measurement_page(path, recording, measurement, collected, suspects=()):
              "<h2>What the cameras leave over</h2><p class=note>Mean residual over patches of the image, drawn enlarged; a pattern here is a lens "
              "that the model lacks.</p>", _residual_maps(m), "<h2>Where the platform went</h2>", coverage(vector(m.T_base_platform)),
              "<h2>How well each pose is known</h2>", _uncertainty(m, position, rotation), "<h2>Cameras</h2>", _cameras(recording, m)]
-<<<<<<< HEAD
     if statement:
         parts += ["<h2>What this recording determines</h2><ul>", *(f"<li>{html.escape(line)}</li>" for line in statement), "</ul>"]
     if places is not None:
         parts += ["<h2>Where the markers really are</h2><p class=note>From their stated places, along their own x (right), y (up), z (out), with "
                   "95 % intervals. The stated places, taken together, hold the frames.</p>", _moves(places), _residuals(places)]
-=======
     if suspects:
         parts.insert(1, "<h2>Markers that are not what rig.toml says</h2><p class=note>What disagrees is left out of the poses.</p><ul>"
                      + "".join(f"<li>{html.escape(str(suspect))}</li>" for suspect in suspects) + "</ul>")
->>>>>>> speed
     worst = _worst_markers(m)
     if worst:
         parts += ["<h2>Markers that disagree</h2><p class=note>Share of a marker's corners set aside: a face askew, a wrong print, a covered "

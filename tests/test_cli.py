@@ -276,7 +276,6 @@ def test_nets_are_true_to_scale(tmp_path):
     np.testing.assert_allclose(places["+z"] - places["-y"], [0, -edge], atol=0.3)
 
 
-<<<<<<< HEAD
 def test_lens_prints_a_camera_that_a_rig_takes(shared, tmp_path):
     photographs = shared / "photos" / "charuco"
     wanted = [photographs / f"{name}.png" for name in ("01", "03", "05", "10", "11")]
@@ -310,7 +309,8 @@ def test_lens_says_what_it_cannot_use(tmp_path):
     assert "0 photographs show" in nothing and "broken.png: the board is not found" in nothing
     cv2.imwrite(str(tmp_path / "other.png"), np.zeros((40, 50), np.uint8))
     assert "one camera has one size" in run("lens", tmp_path, "--board", board, ok=False).stderr
-=======
+
+
 def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     from rig.effects.marker_swap import MarkerSwap
 
@@ -324,4 +324,3 @@ def test_measure_names_markers_that_are_exchanged(tmp_path, design, rig_text):
     assert "2 markers are not what rig.toml says" in done.stdout and said in done.stdout
     assert said in (tmp_path / "out/report.html").read_text()
     assert np.abs(difference(recording.load_poses(tmp_path / "out/poses.csv").T_base_platform, truth)).max() < 1e-3
->>>>>>> speed

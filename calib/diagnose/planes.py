@@ -9,19 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.diagnose.corners import MEDIAN, corner_rows
 from calib.diagnose.knowledge import Knowledge
 from calib.identify import PRIOR, loop_jacobian
 from rig import mechanisms
-from vision import lens
-from vision.adjust import lens_prior
-from vision.derivatives import derivatives
 
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 RANK = 1e-11  # of the greatest eigenvalue; freedoms below are none
-MEDIAN = 0.4549364  # of chi-square with one degree of freedom
-REPEATS = 5  # of a standing corner from which its mean counts
-STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
 ROUNDS = 3  # of weighing the struts anew by their scatter
 
 
@@ -136,7 +131,7 @@ def linearise(knowledge):
     k = knowledge
     priors, names, camera_columns = [], [], {}
     if k.seen is not None:
-        order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns, own = _image(k)
+        order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns, own = corner_rows(k)
         names += image_names
         priors += image_priors
     else:
@@ -167,86 +162,6 @@ def linearise(knowledge):
         to_length = np.zeros((len(k.t), 0, to_local.shape[1]))
     return _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image, lengths, np.array(priors), tuple(names), sigma,
                     camera_columns, inner, excess)
-
-
-def _image(k):
-    """Whitened residuals and derivatives of all corners, frame by frame, and each frame's own basis."""
-    seen = k.seen
-    o = seen.observations
-    n, L = len(o), 6 + 6 * len(k.moving)
-    weights = _weights(o, k)
-    whitener = np.linalg.inv(np.linalg.cholesky(weights))
-    rho = np.einsum("nij,nj->ni", whitener, o.uv - k.pixels())
-    J_local, shared, names, priors, camera_columns = np.zeros((n, 2, L)), [], [], [], {}
-    for i, rows, J_platform, J_camera, J_lens in derivatives(o, k.state):
-        camera = k.stated.cameras[i]
-        J_local[rows, :, :6] = whitener[rows] @ J_platform
-        blocks = [(J_lens, lens.terms(camera.distortion), (1 / lens_prior(camera)).tolist())]
-        if i in k.moving:
-            at = 6 + 6 * sorted(k.moving).index(i)
-            J_local[rows, :, at : at + 6] = whitener[rows] @ J_camera
-        else:
-            blocks.insert(0, (J_camera, ("x", "y", "z", "rx", "ry", "rz"), [0.0] * 6))
-        for block, labels, prior in blocks:
-            whole = np.zeros((n, 2, block.shape[2]))
-            whole[rows] = whitener[rows] @ block
-            camera_columns.setdefault(i, []).extend(range(len(names), len(names) + len(labels)))
-            shared.append(whole)
-            names += [(camera.name, label) for label in labels]
-            priors += prior
-    order = np.lexsort((o.camera, o.frame))
-    edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
-    rho, J_local = rho[order].reshape(-1), J_local[order].reshape(2 * n, L)
-    V = np.concatenate(shared, axis=2)[order].reshape(2 * n, -1)
-    local, to_local = np.zeros((2 * n, L)), np.zeros((len(k.t), L, L))
-    scale = np.sqrt((J_local**2).sum(axis=0) / len(k.t)) + 1e-300
-    for f, (a, b) in enumerate(zip(edges[:-1], edges[1:])):
-        u, s, vt = np.linalg.svd(J_local[2 * a : 2 * b] / scale, full_matrices=False)
-        kept = s > 1e-9 * s[0]
-        local[2 * a : 2 * b, : kept.sum()] = u[:, kept]
-        to_local[f][:, : kept.sum()] = (vt[kept].T / s[kept]) / scale[:, None]
-    own = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns, own
-
-
-def _weights(o, k):
-    """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
-    if not k.standing:
-        return o.covariance
-    rows, index, count = _standing(o, k.moving)
-    weights = o.covariance.copy()
-    weights[rows] += (count[index] * k.standing**2)[:, None, None] * np.eye(2)
-    return weights
-
-
-def _standing(o, moving):
-    """(rows of corners that stand still, which one each is, how often it is seen)."""
-    rows = np.flatnonzero(~o.on_platform & ~np.isin(o.camera, list(moving)))
-    key = (o.camera[rows] * (o.marker.max(initial=0) + 1) + o.marker[rows]) * 4 + o.corner[rows]
-    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-    return rows, index, count
-
-
-def standing(knowledge):
-    """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
-
-    The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does not pass for
-    it. See vision.robust.standing_error, which asks the same of their mean square
-    """
-    k = knowledge
-    if k.seen is None:
-        return 0.0
-    o = k.seen.observations
-    rows, index, count = _standing(o, k.moving)
-    many = count >= REPEATS
-    if many.sum() < STANDING_GROUPS:
-        return 0.0
-    off = (o.uv - k.pixels())[rows]
-    mean = np.stack([np.bincount(index, weights=off[:, c]) / count for c in range(2)], axis=1)
-    chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
-    excess = np.median(mean[many] ** 2) / MEDIAN - chance
-    return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0
-
 
 
 def _split(rows, local, edges):

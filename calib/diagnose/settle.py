@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.diagnose.corners import standing
 from calib.diagnose.knowledge import Knowledge, moved
-from calib.diagnose.planes import Column, Planes, linearise, standing
+from calib.diagnose.planes import Column, Planes, linearise
 from calib.diagnose.search import column_of
 from rig.effects.base import Effect, check
 from rig.pose import exp

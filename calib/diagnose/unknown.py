@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from calib.diagnose import scan
-from calib.diagnose.planes import MEDIAN
+from calib.diagnose.corners import MEDIAN
 from calib.diagnose.prove import corner_noise
 from calib.diagnose.search import mount_pixels
 from rig.effects.lens_distortion import products

@@ -31,37 +31,24 @@ def run(arguments):
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page
-<<<<<<< HEAD
+    from vision.collect import image_reader
     from vision.crossvalidate import crossvalidate
     from vision.determined import determined
-    from vision.places import listed, places
-=======
-    from vision.collect import image_reader
     from vision.identity import suspects
->>>>>>> speed
+    from vision.places import listed, places
     from vision.recorded import measure_recording
     from vision.targets import marker_map
 
-<<<<<<< HEAD
     measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress(), arguments.places)
     held, statement = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment).lines()
     moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
+    wrong = suspects(measured, marker_map(recording.design), collected, image_reader(recording))
     text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures)
-    measurement_page(out / "report.html", recording, measured, collected, moved, statement)
-=======
-    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress())
-    wrong = suspects(measured, marker_map(recording.design), collected, image_reader(recording))
-    text = (recording.folder / "rig.toml").read_text(encoding="utf-8-sig")
-    writing.write_text(out / "rig.toml", with_cameras(text, measured.design.cameras))
-    writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
-    writing.write_corners(out / "corners.csv", measured.corners())
-    writing.copy_times(recording.folder, out, recording.exposures)
-    measurement_page(out / "report.html", recording, measured, collected, wrong)
->>>>>>> speed
+    measurement_page(out / "report.html", recording, measured, collected, moved, statement, wrong)
     position, rotation = uncertainty(measured.covariance)
     total = len(recording.exposures.times()[0])
     print(f"{len(measured.frames)} of {total} frames solved, {measured.inliers.sum()} of {len(measured.inliers)} corners used; "
@@ -71,19 +58,16 @@ def run(arguments):
         step = vector(stated.pose.inv() * camera.pose)
         print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
-<<<<<<< HEAD
     print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
           f"{held.rms:.3f} px RMS over {held.corners} corners")
     for line in statement:
         print(line)
     if moved:
         _print_places(moved)
-=======
     if wrong:
         print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
         for suspect in wrong:
             print(f"  {suspect}")
->>>>>>> speed
     print_unsolved(measured)
     print(f"written: {out}/poses.csv, corners.csv, rig.toml; look at {out}/report.html")
 
