@@ -16,7 +16,7 @@ ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told a
 COSINE = 0.99  # between signatures, freedoms taken out, from which two are the same
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
-HELD_OUT = 2.0  # standard errors by which an effect must do better on stretches that it was not fitted to
+HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
 TRIED = 3  # hypotheses that may fail there before the search ends
 
 
