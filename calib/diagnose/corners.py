@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from rig.effects.edge_bias import EdgeBias
 from vision import lens
 from vision.adjust import lens_prior
 from vision.derivatives import derivatives
 
+FINDER = 0.005  # px; standard deviation of what a corner finder may shift all edges of a camera's images by
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
@@ -36,6 +38,14 @@ def corner_rows(k):
             shared.append(whole)
             names += [(camera.name, label) for label in labels]
             priors += prior
+    quads = k.pixels(rows=slice(None))
+    for i in sorted(camera_columns):  # a bias of edges that small is the corner finder's own
+        name, at = k.stated.cameras[i].name, seen.sightings.camera == i
+        moved = np.zeros_like(quads)
+        moved[at] = EdgeBias(f"camera {name}", 1.0).print_(k.stated.cameras[i], quads[at]) - quads[at]
+        shared.append((whitener @ moved[seen.row, o.corner][..., None]))
+        names.append((name, "edges"))
+        priors.append(1 / FINDER)
     order = np.lexsort((o.camera, o.frame))
     edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
     rho, J_local = rho[order].reshape(-1), J_local[order].reshape(2 * n, L)

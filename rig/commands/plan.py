@@ -1,4 +1,4 @@
-"""rig plan RIG.toml --for parameters --out FILE."""
+"""rig plan RIG.toml --for parameters --out FILE, or rig plan RIG.toml --separate EFFECT EFFECT --out FILE."""
 
 from pathlib import Path
 
@@ -6,12 +6,16 @@ from rig.commands.output import SEED, Progress, fresh_file
 from rig.errors import RigError
 
 SHOWN = 8  # combinations that are listed
+MOVES = ("sobol:40", "ladder:12", "moving:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--for", dest="purpose", choices=tuple(PURPOSES), required=True, help="what the plan is to find out")
+    asked = parser.add_mutually_exclusive_group(required=True)
+    asked.add_argument("--for", dest="purpose", choices=tuple(PURPOSES), help="what the plan is to find out")
+    asked.add_argument("--separate", nargs=2, metavar=("EFFECT", "EFFECT"), help="which moves tell two effects apart, each written as for "
+                       "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan")
     parser.add_argument("--count", type=int, default=60, help="configurations to choose (default 60)")
     parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
                         help="smallest volume of uncertainty (default), or smallest amplification of noise")
@@ -24,7 +28,45 @@ def arguments(parser):
 
 def run(arguments):
     """Choose configurations, write them, and say what they make visible."""
-    PURPOSES[arguments.purpose](arguments)
+    (_separate if arguments.separate else PURPOSES[arguments.purpose])(arguments)
+
+
+def _separate(arguments):
+    """Try the parts of plans alone and two by two, and write the one by which the effects differ most."""
+    from itertools import combinations
+
+    import numpy as np
+
+    from calib.diagnose.separate import separation
+    from rig import design_file, writing
+    from rig.effects.parse import parse
+    from rig.plan import build, logged
+    from synthetic.world import weather
+
+    design = design_file.load(arguments.design)
+    effects = [parse(text) for text in arguments.separate]
+    seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
+    if seen:
+        raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "
+                       "rig diagnose's page")
+    if design.mechanism.kind != "hexapod":
+        raise RigError(f"plans to separate effects are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
+    out = fresh_file(arguments.out)
+    trials = []
+    for text in (*MOVES, *(",".join(pair) for pair in combinations(MOVES, 2))):
+        plan = build(design, text, SEED)
+        sensors, _ = weather(plan.commands.t[-1], np.random.default_rng(SEED))
+        trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
+    trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
+    print("misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):")
+    for found, _ in trials[:SHOWN]:
+        print(f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine {found.cosine:6.3f}   {found.plan}")
+    best, plan = trials[0]
+    if best.misfit < 3:
+        print("no plan tried tells them apart at that size")
+    writing.write_table(out, ("t", *design.mechanism.axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
+                                                             for t, values in zip(plan.commands.t, plan.commands.values)])
+    print(f"best: {best.plan} (rig simulate --plan {best.plan} tries it); written: {out}")
 
 
 def _parameters(arguments):
