@@ -124,6 +124,9 @@ def of_recording(recording, progress=None):
     Raises NotEnoughData where nothing was measured, and what measuring raises
     """
     design = recording.design
+    if design.mechanism.kind not in ("hexapod", "free"):
+        raise RigError(f"{recording.folder}: diagnosing takes a hexapod or a free body, not a mechanism of kind {design.mechanism.kind!r}; "
+                       "rig calibrate says what its geometry leaves")
     if design.mechanism.kind == "free" or recording.commands is None:
         measured, collected = measure_recording(recording, progress=progress)
         source = "images" if collected is not None else "corners.csv"

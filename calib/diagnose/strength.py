@@ -27,7 +27,7 @@ def strengths(recording, true, noise, effects, sensors):
         return Knowledge(true, stated, frames, t, T, {}, None, recording.commands, sensors, None, tuple(acting))
 
     whole = world(effects)
-    whole = replace(whole, seen=seen_of(observations, observations.covariance, marker_map(stated)))
+    whole = replace(whole, seen=seen_of(observations, marker_map(stated)))
     planes, pixels, out = linearise(whole), whole.pixels(), []
     for i in range(len(effects)):
         bare = replace(world([e for k, e in enumerate(effects) if k != i]), seen=whole.seen)

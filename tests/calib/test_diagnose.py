@@ -83,7 +83,9 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     sigma = (fitted["ci95"][1] - fitted["ci95"][0]) / 3.92
     assert abs(fitted["value"] - value) < 4 * sigma and sigma < 0.1 * value
     fit = tree["fit"]
-    assert fit["heldout_before"] > 1.2 * fit["heldout_after"] and fit["heldout_after"] < 1.1 * fit["noise_floor"]
+    assert fit["heldout_after"] < 1.1 * fit["noise_floor"]
+    if kind != "edge_bias":  # which the corner finder's own bias would take up, at a price that only the prior shows
+        assert fit["heldout_before"] > 1.2 * fit["heldout_after"]
 
 
 def test_faces_exchanged_are_named(tmp_path, design):
@@ -103,7 +105,7 @@ def test_what_no_catalogue_lists_is_called_unknown(tmp_path, design):
     odd = replace(knowledge, commands=replace(knowledge.commands, values=lengths))
     settled = settle.settle(odd, Signatures(odd))
     left = unknown.unknowns(settled.planes)
-    assert left and left[0].place == "strut 4" and left[0].depends_on in (("pose",), ())
+    assert left and left[0].place == "strut 4" and left[0].depends_on == ("strut 1's position",)
 
 
 def test_tangents_of_what_is_seen_are_derivatives(quiet):
