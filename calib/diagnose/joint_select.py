@@ -18,6 +18,7 @@ ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told a
 COSINE = 0.99  # between signatures, from which two are the same
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 BESIDE = 0.4  # of the greatest gain; another joint's effect with so much is admitted in the same step
+QUICK = 2  # times of weighing anew while the search goes on
 MOST = 24  # effects at once
 SIGNED = ("backlash", "hysteresis", "joint_clearance", "creep")  # sizes that physics lets be positive alone
 OWN = ("scale_error", "cyclic_error", "transmission_error")  # what depends on a joint's own angle alone, simple before general
@@ -64,9 +65,10 @@ def select(arms, families, train=None, progress=None):
             again = [score] if len(joints) == 1 else joint_scan.scan(now, [_only(one)])
             if again and convincing(again[0], len(families), now.size):
                 tried.add(_key(score))
-                now = fit(arms, (*now.terms, one), train, now.scatter)
+                now = fit(arms, (*now.terms, one), train, now.scatter, rounds=QUICK)
         now = _pruned(now, train)
-    return _paying(_simplified(now, families, train), train)
+    now = _paying(_simplified(now, families, train), train)
+    return fit(arms, now.terms, train, now.scatter)
 
 
 def convincing(score, count, size):
@@ -129,7 +131,7 @@ def _pruned(now, train):
         worst = int(np.argmin(gains))
         if gains[worst] >= GAIN:
             break
-        now = fit(now.arms, tuple(t for i, t in enumerate(now.terms) if i != worst), train, now.scatter)
+        now = fit(now.arms, tuple(t for i, t in enumerate(now.terms) if i != worst), train, now.scatter, rounds=QUICK)
     return now
 
 
@@ -150,7 +152,7 @@ def _simplified(now, families, train):
         bare = [(_criterion(fit(now.arms, trial, now.used, now.scatter, rounds=1)), trial) for trial in trials]
         best = min(bare, key=lambda pair: pair[0], default=(np.inf, None))
         if best[0] < _criterion(fit(now.arms, now.terms, now.used, now.scatter, rounds=1)):
-            now = fit(now.arms, best[1], train, now.scatter)
+            now = fit(now.arms, best[1], train, now.scatter, rounds=QUICK)
     return _pruned(now, train)
 
 

@@ -25,9 +25,15 @@ def run(arguments):
     recording = recordings.load(arguments.recording)
     out = fresh_folder(arguments.out, recording.folder)
 
-    from calib.diagnose import result
+    if recording.design.mechanism.kind == "arm":
+        from calib.diagnose import arm as diagnosing
+        from calib.diagnose import arm_result as result
+    else:
+        from calib.diagnose import result
 
-    found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+        diagnosing = result
+
+    found = diagnosing.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
     result.save(out, found)
     tree = result.to_dict(found)
     for finding in tree["findings"]:
