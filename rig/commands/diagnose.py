@@ -25,12 +25,19 @@ def run(arguments):
     recording = recordings.load(arguments.recording)
     out = fresh_folder(arguments.out, recording.folder)
 
-    from calib.diagnose import result
-    from calib.diagnose.page import diagnosis_page
+    if recording.design.mechanism.kind == "arm":
+        from calib.diagnose import arm
+        from calib.diagnose import arm_result as result
 
-    found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
-    result.save(out, found, recording)
-    diagnosis_page(out / "diagnosis.html", recording, found)
+        found = arm.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+        result.save(out, found)
+    else:
+        from calib.diagnose import result
+        from calib.diagnose.page import diagnosis_page
+
+        found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+        result.save(out, found, recording)
+        diagnosis_page(out / "diagnosis.html", recording, found)
     tree = result.to_dict(found)
     for finding in tree["findings"]:
         print(f"{finding['effect']} at {finding['place']}: " + ", ".join(_parameter(*item) for item in finding["parameters"].items()))

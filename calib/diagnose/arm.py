@@ -1,0 +1,107 @@
+"""An arm's recording -> its Diagnosis: which effect sits at which joint, how large, how sure, and what nobody can name."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arms.certify import calibrate
+from calib.arms.observations import of_samples
+from calib.diagnose.joint_families import families, moments
+from calib.diagnose.joint_select import findings, select
+from calib.diagnose.joints import Arms, Fit, fit, stretches
+from calib.pipeline import sample_recording
+from rig.effects.base import Path
+from rig.errors import NotEnoughData
+
+FEWEST = 60  # poses
+PARTS = 3
+FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Residuals (n, k), m and rad, of poses by structures chosen and fitted on other stretches: geometry alone, and with effects.
+
+    stretches : how many there were; names : per part, what was chosen on the others"""
+
+    before: np.ndarray
+    after: np.ndarray
+    stretches: int
+    names: tuple
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmDiagnosis:
+    """recording : its name; source : of the poses; arms : Arms; before, fit : Fit by the geometry alone and with all findings
+    findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine stretches first; unknown : [Unknown]"""
+
+    recording: str
+    source: str
+    arms: Arms
+    before: Fit
+    fit: Fit
+    findings: list
+    families: int
+    skipped: list
+    held: list
+    unknown: list
+
+
+def arms_of(samples, nominal, instrument, gravity, commands=None, channels=None):
+    """(Arms, Identified) of Samples: calibrated, and linear about it.
+
+    commands : Commands, the whole path; the samples' own commands in their order where None; channels : {name: (n,)}
+    Raises NotEnoughData for too few poses, and what calibrating raises
+    """
+    if len(samples) < FEWEST:
+        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm; it takes {FEWEST}, better 500")
+    _, found = calibrate(samples, nominal, instrument, profiles=False)
+    observations = of_samples(samples)
+    J = observations.jacobian(found.arm)
+    freedoms = np.concatenate([J[..., found.free], observations.common], axis=2)
+    rows = found.arm.rows
+    step = np.zeros(J.shape[2])
+    step[6:-6].reshape(-1, 5)[:, 1:3] = rows[:, 1:3]  # d and a: what grows with temperature
+    t = samples.t
+    if commands is None:
+        path = Path(t, samples.commanded, np.arange(len(t)))
+    else:
+        knots = np.union1d(commands.t, t)
+        path = Path(knots, np.stack([np.interp(knots, commands.t, c) for c in commands.values.T], axis=1), np.searchsorted(knots, t))
+    return Arms(samples.frame, t, samples.commanded, observations.residuals(found.arm), freedoms, observations.joint_jacobian(found.arm),
+                observations.covariance, moments(samples.commanded, found.arm, gravity), path, channels or {}, J @ step), found
+
+
+def diagnose(recording, only=None, without=(), progress=None):
+    """ArmDiagnosis of a Recording of an arm. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
+
+    Raises NotEnoughData where too little was measured, and what calibrating raises
+    """
+    sampled = sample_recording(recording, progress=progress)
+    s, design = sampled.samples, recording.design
+    sensors = recording.sensors
+    channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
+    arms, _ = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
+    return diagnosed(arms, recording.folder.resolve().name, sampled.source, only, without, progress)
+
+
+def diagnosed(arms, name, source, only=None, without=(), progress=None, coarse=True):
+    """ArmDiagnosis of Arms; coarse : whether long stretches are held out as well."""
+    from calib.diagnose.joint_unknown import unknowns
+
+    asked, skipped = families(arms, only, without)
+    chosen = select(arms, asked, progress=progress)
+    held = [nested(arms, asked, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
+    return ArmDiagnosis(name, source, arms, fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, unknowns(chosen))
+
+
+def nested(arms, asked, count, progress=None):
+    """HeldOut over `count` stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
+    part = stretches(len(arms), count) % PARTS
+    before, after, names = np.empty(arms.left.shape), np.empty(arms.left.shape), []
+    for k in range(PARTS):
+        chosen = select(arms, asked, part != k, progress)
+        before[part == k] = fit(arms, (), part != k).left[part == k]
+        after[part == k] = chosen.left[part == k]
+        names.append(tuple(f"{t.family.name} {t.family.place}" for t in chosen.terms))
+    return HeldOut(before, after, count, tuple(names))

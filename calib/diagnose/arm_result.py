@@ -1,0 +1,128 @@
+"""An arm's diagnosis as diagnosis.json, and its parameters with intervals that allow for how residuals scatter."""
+
+import json
+
+import numpy as np
+
+from calib.diagnose.joint_scan import reshaped
+from calib.diagnose.result import SCHEMA, _places, experiment
+from rig.writing import write_text
+
+Z95 = 1.959964
+UNITS = {"scale_error": "", "backlash": "rad", "hysteresis": "", "warm_up": "rad", "missed_steps": "rad", "creep": "", "joint_clearance": "rad",
+         "thermal_expansion": "1/K"}
+NAMES = {"scale_error": "scale", "backlash": "gap", "hysteresis": "weight", "warm_up": "amplitude", "missed_steps": "jump", "creep": "fraction",
+         "joint_clearance": "gap", "thermal_expansion": "coefficient"}
+SHAPES = {"order": "", "range": "rad", "time_constant": "s", "time": "s"}
+
+
+def to_dict(d):
+    """The tree of diagnosis.json of an ArmDiagnosis."""
+    found = [_finding(d, f) for f in d.findings]
+    found += [{"effect": "unknown", "place": u.place, "parameters": {"magnitude": {"value": u.magnitude, "unit": u.unit},
+                                                                     "depends_on": {"value": list(u.depends_on), "unit": ""}},
+               "evidence": {"p_value": u.p_value, "drop": u.drop}, "cannot_be_told_from": []} for u in _places(d.unknown)]
+    worst = d.unknown[0] if d.unknown else None
+    return {"schema": SCHEMA, "recording": d.recording, "noise": noise(d), "findings": found,
+            "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
+                                                       "depends_on": list(worst.depends_on)},
+            "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": noise(d)["pose_m"], "unit": "m"},
+            "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), "chosen": [list(n) for n in h.names]}
+                         for h in d.held],
+            "not_asked": [{"effect": s.effect, "reason": s.reason} for s in d.skipped]}
+
+
+def save(folder, d):
+    """Write diagnosis.json and the page into a folder."""
+    from calib.diagnose.arm_page import diagnosis_page
+
+    write_text(folder / "diagnosis.json", json.dumps(to_dict(d), indent=1) + "\n")
+    diagnosis_page(folder / "diagnosis.html", d)
+
+
+def mean(left):
+    """m, mean position error of residuals (n, k)."""
+    return float(np.linalg.norm(left[:, :3], axis=1).mean())
+
+
+def figures(left):
+    """{mean_m, rms_m, p95_m, max_m, n} of position errors and, where they were measured, the mean rotation error in rad."""
+    size = np.linalg.norm(left[:, :3], axis=1)
+    out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
+           "max_m": float(size.max()), "n": len(size)}
+    return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+
+
+def noise(d):
+    """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
+    own = d.arms.own
+    length = [float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6))]
+    return {"corner_px": None, "pose_m": length[0], "pose_rad": length[1] or None, "strut_m": None}
+
+
+def parameters(d, finding):
+    """{name: {"value", "unit", "ci95"}} of a finding; intervals allow for the dispersion seen."""
+    fit, number = d.fit, finding.number
+    one, theta = fit.terms[number], fit.theta[fit.slices[number]]
+    covariance = fit.covariance(number) * finding.score.dispersion
+    name = one.family.name
+    if name == "cyclic_error":
+        return _cycle(d, finding, theta)
+    if name == "transmission_error":
+        sigma = np.sqrt(np.diag(covariance))
+        level = theta - theta.mean()
+        moved = fit.part(number)
+        return {"profile": {"value": level.tolist(), "unit": "rad", "ci95": [(level - Z95 * sigma).tolist(), (level + Z95 * sigma).tolist()]},
+                "rms": _scaled(moved, theta, covariance, one.weights, "rad"),
+                "span": {"value": [one.shape["low"], one.shape["high"]], "unit": "rad"}}
+    if name == "compliance":
+        sigma = np.sqrt(np.diag(covariance))
+        names = d.arms.moments[one.family.joint][1]
+        return {"deflection": _scaled(fit.part(number), theta, covariance, one.weights, "rad"),
+                "moment_over_stiffness": {"value": theta.tolist(), "unit": "kg m/(N m/rad), masses kg/(N m/rad)",
+                                          "ci95": [(theta - Z95 * sigma).tolist(), (theta + Z95 * sigma).tolist()]},
+                "moments": {"value": list(names), "unit": ""}}
+    sigma = float(np.sqrt(covariance[0, 0]))
+    out = {NAMES[name]: {"value": float(theta[0]), "unit": UNITS[name], "ci95": [float(theta[0]) - Z95 * sigma, float(theta[0]) + Z95 * sigma]}}
+    return out | {key: {"value": one.shape[key], "unit": unit} for key, unit in SHAPES.items() if key in one.shape}
+
+
+def _scaled(moved, theta, covariance, weights, unit):
+    """The RMS, about its mean, of what a term does to its joint, with an interval to first order."""
+    w = weights - weights.mean(axis=0)
+    value = float((moved - moved.mean()).std())
+    slope = w.T @ (w @ theta) / len(w) / max(value, 1e-300)
+    sigma = float(np.sqrt(max(slope @ covariance @ slope, 0)))
+    return {"value": value, "unit": unit, "ci95": [max(value - Z95 * sigma, 0.0), value + Z95 * sigma]}
+
+
+def _cycle(d, finding, theta):
+    """amplitude, phase and order of a sinusoid, their joint covariance with all else free."""
+    fit, number = d.fit, finding.number
+    one = fit.terms[number]
+    order, small = one.shape["order"], 1e-4
+    slope = (reshaped(one, order=order + small).weights - reshaped(one, order=order - small).weights) @ theta / (2 * small)
+    used = fit.used
+    direction = d.arms.joints[used][..., one.family.joint] * slope[used][:, None]
+    u = (fit.W[used] @ direction[..., None]).ravel()
+    basis = fit.basis().reshape(len(u), -1)
+    rest = u - basis @ (basis.T @ u)
+    variance = finding.score.dispersion / max(rest @ rest, 1e-300)
+    inverse = np.linalg.solve(fit.half, basis.T @ u)[fit.slices[number]]  # how the sizes lean with the order
+    covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
+    amplitude = float(np.hypot(*theta))
+    along = theta / max(amplitude, 1e-300)
+    sigma = np.sqrt([along @ covariance @ along, np.array([-along[1], along[0]]) @ covariance @ np.array([-along[1], along[0]]) / amplitude**2,
+                     variance])
+    values = (amplitude, float(np.arctan2(theta[1], theta[0])), order)
+    return {name: {"value": float(v), "unit": unit, "ci95": [float(v - Z95 * s), float(v + Z95 * s)]}
+            for name, v, s, unit in zip(("amplitude", "phase", "order"), values, sigma, ("rad", "rad", ""))}
+
+
+def _finding(d, finding):
+    family = d.fit.terms[finding.number].family
+    return {"effect": family.name, "place": family.place, "parameters": parameters(d, finding),
+            "evidence": {"delta_bic": finding.score.gain(d.fit.size), "p_value": min(1.0, finding.score.p_value * d.families),
+                         "heldout_before": finding.before, "heldout_after": finding.after, "unit": "m", "gain_sigma": finding.gain},
+            "cannot_be_told_from": [{"effect": r.score.family.name, "place": r.score.family.place, "delta_bic": r.behind, "cosine": r.cosine,
+                                     "experiment": experiment(family.name, r.score.family.name)} for r in finding.rivals]}

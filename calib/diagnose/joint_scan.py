@@ -1,0 +1,123 @@
+"""How much each family at an arm's joints would explain, what is admitted and the geometry's freedoms taken out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.diagnose.joints import Term, columns
+from calib.diagnose.scan import Score, davies
+
+CHUNK = 96  # shapes at a time
+CLUSTER = 5  # poses in a row whose errors may be alike
+REFINE = 8  # halvings of the step about the best order
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Atoms:
+    """Inner products, pose by pose, of one joint's motion: beta (m,) with the residual, gamma (m,) with itself, kappa (m, p) with the basis."""
+
+    beta: np.ndarray
+    gamma: np.ndarray
+    kappa: np.ndarray
+
+
+def atoms(fit, basis, joint):
+    """Atoms of the used poses for a joint (index), or for all links' lengths (None)."""
+    arms, used = fit.arms, fit.used
+    direction = arms.lengths if joint is None else arms.joints[..., joint]
+    a = (fit.W[used] @ direction[used][..., None])[..., 0]
+    return Atoms((a * fit.y[used]).sum(axis=1), (a * a).sum(axis=1), (a[:, None, :] @ basis)[:, 0])
+
+
+def normal(atom, w):
+    """(b (s, q), G (s, q, q)) of candidates with weights w (s, m, q), what is admitted taken out."""
+    turned = np.swapaxes(w, 1, 2)
+    b = turned @ atom.beta
+    K = (turned.reshape(-1, w.shape[1]) @ atom.kappa).reshape(len(w), w.shape[2], -1)
+    return b, (turned * atom.gamma) @ w - K @ np.swapaxes(K, 1, 2)
+
+
+def scan(fit, families, progress=None):
+    """[Score] of all families, the greatest gain first. progress : called with (done, of), or None"""
+    basis, known, out = fit.basis(), {}, []
+    for i, family in enumerate(families):
+        if family.joint not in known:
+            known[family.joint] = atoms(fit, basis, family.joint)
+        score = _score(fit, basis, family, known[family.joint])
+        if score is not None:
+            out.append(score)
+        if progress:
+            progress(i + 1, len(families))
+    return sorted(out, key=lambda s: -s.raw_gain(fit.size))
+
+
+def _score(fit, basis, family, atom):
+    drops, sizes, ranks = _drops(fit, family, atom, family.shapes)
+    gains = drops - ranks * np.log(fit.size)
+    best = int(np.argmax(gains))
+    shape = family.shapes[best]
+    if family.name == "cyclic_error" and len(family.shapes) > 1:
+        step = family.shapes[1]["order"] - family.shapes[0]["order"]
+        for _ in range(REFINE):
+            step /= 2
+            near = [{"order": max(shape["order"] + d * step, 0.05)} for d in (-1, 0, 1)]
+            found, coefficients, rank = _drops(fit, family, atom, near)
+            i = int(np.argmax(found))
+            shape, top, size = near[i], found[i], coefficients[i]
+        if top > drops[best]:
+            drops = drops.copy()
+            drops[best], sizes[best] = top, size
+    coefficients, rank = sizes[best], ranks[best]
+    if drops[best] <= 0:
+        return None
+    spread = dispersion(fit, basis, family, shape, coefficients)
+    same = ranks == rank
+    p = davies(drops[same] / spread, max(round(rank), 1), spread, int(fit.used.sum()))
+    p = min(1.0, p * len(np.unique(ranks)))
+    return Score(family, shape, coefficients, drops[best] / spread, p, int(np.ceil(rank)) + family.extra, spread, 1.0, drops)
+
+
+def _drops(fit, family, atom, shapes):
+    """(drops (s,), coefficients [s], numbers that the data determine (s,)) of a family's shapes."""
+    drops, sizes, ranks = [], [], []
+    for start in range(0, len(shapes), CHUNK):
+        part = [family.weights(shape)[fit.used] for shape in shapes[start : start + CHUNK]]
+        even = len({w.shape[1] for w in part}) == 1
+        for w in [np.stack(part)] if even else [w[None] for w in part]:
+            b, G = normal(atom, w)
+            size = np.linalg.solve(G + np.eye(b.shape[1]) / family.prior**2, np.concatenate([b[..., None], G], axis=2))
+            drops.append((b * size[..., 0]).sum(axis=1))
+            sizes += list(size[..., 0])
+            ranks.append(np.einsum("sqq->s", size[..., 1:]))
+    return np.concatenate(drops), sizes, np.round(np.concatenate(ranks), 1)
+
+
+def signature(fit, basis, family, shape):
+    """(m, k, q) whitened columns of a candidate in the used poses, what is admitted taken out."""
+    used = fit.used
+    U = (fit.W[used] @ columns(fit.arms, family.joint, family.weights(shape))[used]).reshape(-1, len(family.weights(shape)[0]))
+    Q = basis.reshape(len(U), -1)
+    return (U - Q @ (Q.T @ U)).reshape(used.sum(), -1, U.shape[1])
+
+
+def dispersion(fit, basis, family, shape, coefficients):
+    """How much more contributions of stretches of poses scatter than the weights say, at least 1 (the sandwich)."""
+    U = signature(fit, basis, family, shape)
+    rest = fit.y[fit.used] - U @ coefficients
+    pushed = np.einsum("mkq,mk->mq", U, rest)
+    group = np.arange(len(pushed)) // CLUSTER
+    summed = np.stack([np.bincount(group, weights=column) for column in pushed.T], axis=1)
+    return max(1.0, float((summed**2).sum() / max((U**2).sum(), 1e-300)))
+
+
+def term(score, arms):
+    """Term of a Score, at its shape."""
+    weights = score.family.weights(score.shape)
+    return Term(score.family, score.shape, weights, np.full(weights.shape[1], score.family.prior))
+
+
+def reshaped(old, **shape):
+    """A Term at another shape."""
+    shape = {**old.shape, **shape}
+    weights = old.family.weights(shape)
+    return Term(old.family, shape, weights, np.full(weights.shape[1], old.family.prior))

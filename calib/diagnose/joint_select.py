@@ -1,0 +1,215 @@
+"""Which effects sit at which joints: forward steps, backward checks, simple cases before general ones, stretches held out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from calib.diagnose import joint_scan
+from calib.diagnose.joints import Fit, fit, stretches
+from calib.diagnose.scan import Score
+
+ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, joints and searches
+GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
+PAYS = 2.0  # standard errors by which the squares of held-out stretches must fall
+FOLDS = 5
+STRETCHES = 30
+ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
+COSINE = 0.99  # between signatures, from which two are the same
+NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
+BESIDE = 0.4  # of the greatest gain; another joint's effect with so much is admitted in the same step
+QUICK = 2  # times of weighing anew while the search goes on
+MOST = 24  # effects at once
+SIGNED = ("backlash", "hysteresis", "joint_clearance", "creep")  # sizes that physics lets be positive alone
+OWN = ("scale_error", "cyclic_error", "transmission_error")  # what depends on a joint's own angle alone, simple before general
+CYCLES = 2  # sinusoids that a profile is tried to be made of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """score : of a hypothesis in place of a finding; behind : how much worse by the Bayesian criterion; cosine of the signatures."""
+
+    score: Score
+    behind: float
+    cosine: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """number : of the term; score : with all others admitted; rivals : [Rival]; gain : of the squares of held-out stretches, in standard
+    errors; before, after : m (or rad), RMS of held-out positions without it and with it"""
+
+    number: int
+    score: Score
+    rivals: list
+    gain: float
+    before: float
+    after: float
+
+
+def select(arms, families, train=None, progress=None):
+    """Fit with the terms that poses of a mask train (n,) call for. progress : called with (label, done, of), or None"""
+    now = fit(arms, (), train)
+    tried = set()
+    for _ in range(MOST):
+        scores = joint_scan.scan(now, families, (lambda a, b: progress(f"searching beside {len(now.terms)} effects", a, b)) if progress else None)
+        scores = [s for s in scores if convincing(s, len(families), now.size) and _key(s) not in tried]
+        if not scores or len(now.terms) >= MOST:
+            break
+        top, joints = scores[0].raw_gain(now.size), set()
+        for score in scores:
+            if score.family.joint in joints or score.raw_gain(now.size) < BESIDE * top:
+                continue
+            joints.add(score.family.joint)
+            one = joint_scan.term(score, arms)
+            again = [score] if len(joints) == 1 else joint_scan.scan(now, [_only(one)])
+            if again and convincing(again[0], len(families), now.size):
+                tried.add(_key(score))
+                now = fit(arms, (*now.terms, one), train, now.scatter, rounds=QUICK)
+        now = _pruned(now, train)
+    now = _paying(_simplified(now, families, train), train)
+    return fit(arms, now.terms, train, now.scatter)
+
+
+def convincing(score, count, size):
+    """Whether a Score is too good for chance over all families, worth its parameters, and of the sign that physics allows."""
+    return score.p_value * count <= ALPHA and score.gain(size) >= GAIN and (score.family.name not in SIGNED or score.coefficients[0] > 0)
+
+
+def findings(now, families, progress=None):
+    """[Finding] of a Fit's terms, the weightiest first, each held against all families with the others admitted."""
+    out, arms = [], now.arms
+    squares = _held(now)
+    with_all = squares(())
+    for number, one in enumerate(now.terms):
+        rest = tuple(t for i, t in enumerate(now.terms) if i != number)
+        without = fit(arms, rest, now.used, now.scatter, rounds=1)
+        scores = joint_scan.scan(without, families, (lambda a, b: progress(f"rivals of {one.family.name}", a, b)) if progress else None)
+        own = joint_scan.scan(without, [_only(one)])[0]
+        basis = without.basis()
+        mine = (joint_scan.signature(without, basis, one.family, one.shape) @ own.coefficients).ravel()
+        rivals = [r for r in (_rival(without, basis, own, mine, s, one) for s in scores) if r is not None]
+        held = squares((number,))
+        gain = _gain(held[0] - with_all[0])
+        out.append(Finding(number, own, sorted(rivals, key=lambda r: r.behind), gain, held[1], with_all[1]))
+    return sorted(out, key=lambda f: -f.score.drop)
+
+
+def _only(one):
+    """The Family of a Term, confined to its shape."""
+    family = one.family
+    return type(family)(family.name, family.joint, [one.shape], family.weights, family.prior, family.extra)
+
+
+def _rival(without, basis, own, mine, score, one):
+    if score.family.name == one.family.name and score.family.joint == one.family.joint:
+        return None
+    behind = own.raw_gain(without.size) - score.raw_gain(without.size)
+    if behind > max(2 * ALIKE, NEAR * own.drop * own.dispersion) or score.p_value > 1e-4:
+        return None
+    if score.family.name in SIGNED and score.coefficients[0] <= 0:
+        return None
+    other = (joint_scan.signature(without, basis, score.family, score.shape) @ score.coefficients).ravel()
+    cosine = float(mine @ other / np.sqrt(max((mine @ mine) * (other @ other), 1e-300)))
+    return Rival(score, behind, cosine) if behind < ALIKE or abs(cosine) > COSINE else None
+
+
+def _key(score):
+    return score.family.name, score.family.joint, tuple(sorted((k, round(float(v), 3)) for k, v in score.shape.items()))
+
+
+def _pruned(now, train):
+    """The fit without terms that the others have made needless."""
+    while now.terms:
+        gains, inverse = [], solve_triangular(now.half, np.eye(len(now.half)), lower=False)
+        for number, one in enumerate(now.terms):
+            theta, covariance = now.theta[now.slices[number]], inverse[now.slices[number]] @ inverse[now.slices[number]].T
+            known = len(theta) - np.trace(covariance / one.prior**2)
+            spread = covariance - covariance @ (covariance / one.prior[:, None] ** 2)  # scatter of the sizes, that of the priors left out
+            statistic = theta @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ theta if known > 0.5 else 0.0
+            gains.append(statistic - (known + one.family.extra) * np.log(now.size))
+        worst = int(np.argmin(gains))
+        if gains[worst] >= GAIN:
+            break
+        now = fit(now.arms, tuple(t for i, t in enumerate(now.terms) if i != worst), train, now.scatter, rounds=QUICK)
+    return now
+
+
+def _simplified(now, families, train):
+    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; knots made as few as will do."""
+    for one in [t for t in now.terms if t.family.name == "transmission_error"]:
+        joint = one.family.joint
+        own = [f for f in families if f.joint == joint and f.name in ("scale_error", "cyclic_error")]
+        rest = tuple(t for t in now.terms if t is not one)
+        trials = [(*rest, joint_scan.reshaped(one, **shape)) for shape in one.family.shapes if shape["knots"] != one.shape["knots"]]
+        simple = rest
+        for _ in range(CYCLES + 1):
+            scores = joint_scan.scan(fit(now.arms, simple, now.used, now.scatter, rounds=1), own) if own else []
+            if not scores:
+                break
+            simple = (*simple, joint_scan.term(scores[0], now.arms))
+            trials.append(simple)
+        bare = [(_criterion(fit(now.arms, trial, now.used, now.scatter, rounds=1)), trial) for trial in trials]
+        best = min(bare, key=lambda pair: pair[0], default=(np.inf, None))
+        if best[0] < _criterion(fit(now.arms, now.terms, now.used, now.scatter, rounds=1)):
+            now = fit(now.arms, best[1], train, now.scatter, rounds=QUICK)
+    return _pruned(now, train)
+
+
+def _criterion(now):
+    """Bayesian information criterion of a Fit with its weights as they are."""
+    count = 0.0
+    for number, one in enumerate(now.terms):
+        count += len(one.prior) - np.trace(now.covariance(number) / one.prior**2) + one.family.extra
+    return float((now.y[now.used] ** 2).sum()) + count * np.log(now.size)
+
+
+def _paying(now, train):
+    """The fit without terms that do not pay on stretches held out."""
+    while now.terms:
+        squares = _held(now)
+        base = squares(())[0]
+        gains = [_gain(squares((number,))[0] - base) for number in range(len(now.terms))]
+        worst = int(np.argmin(gains))
+        if gains[worst] >= PAYS:
+            break
+        now = fit(now.arms, tuple(t for i, t in enumerate(now.terms) if i != worst), train, now.scatter)
+    return now
+
+
+def _held(now):
+    """A function: numbers of terms left out -> ((n,) whitened squares of held-out poses, m RMS of their positions per axis)."""
+    fold = stretches(len(now.arms), STRETCHES) % FOLDS
+    p = now.X.shape[2]
+    grams, rights, total = [], [], now.half.T @ now.half
+    target = (now.W @ now.arms.left[..., None])[..., 0]
+    for k in range(FOLDS):
+        rows = now.used & (fold == k)
+        X = now.X[rows].reshape(-1, p)
+        grams.append(X.T @ X)
+        rights.append(X.T @ target[rows].ravel())
+    right = sum(rights)
+
+    def squares(dropped):
+        keep = np.ones(p, bool)
+        for number in dropped:
+            keep[now.slices[number]] = False
+        white = np.zeros(now.y.shape)
+        for k in range(FOLDS):
+            rows = now.used & (fold == k)
+            H = (total - grams[k])[np.ix_(keep, keep)]
+            H[np.diag_indices_from(H)] *= 1 + 1e-10
+            white[rows] = target[rows] - now.X[rows][..., keep] @ np.linalg.solve(H, (right - rights[k])[keep])
+        left = np.linalg.solve(now.W, white[..., None])[..., 0][now.used, :3]
+        return (white**2).sum(axis=1), float(np.sqrt((left**2).mean()))
+
+    return squares
+
+
+def _gain(drop):
+    """A drop (n,) of squares in standard errors of its sum over stretches."""
+    by = np.bincount(stretches(len(drop), STRETCHES), weights=drop)
+    return float(by.sum() / max(np.sqrt(len(by)) * by.std(ddof=1), 1e-300))
+
+
+__all__ = ["Finding", "Fit", "Rival", "convincing", "findings", "select"]

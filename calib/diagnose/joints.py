@@ -1,0 +1,154 @@
+"""An arm's poses -> whitened residuals with calibration's freedoms and admitted terms taken out, ready to be searched joint by joint.
+
+A term moves one joint's angle (or, for what moves the whole arm, the target's pose) by a few columns, each of unknown size; sizes
+have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the instrument's own is estimated.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from calib.samples import blocks
+
+ROUNDS = 6  # of weighing anew
+SETTLED = 1e-3  # share by which the scatter may still change
+GATE = 6.0  # standard deviations beyond which a pose is left out
+LOOSE = 1e-12  # share of a freedom's information that stands for no prior at all
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arms:
+    """What is known of n poses of an arm. frame : (n,); t : (n,) s; q : (n, joints) rad, commanded; left : (n, k) m and rad, what
+    the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints)
+    with the angles; own : (n, k, k) the instrument's covariance; moments : per joint (values (n, columns), names)
+    path : effects' Path; channels : {name: (n,)}; lengths : (n, k) change where every link grows by the unit; gate : (n,) bool, poses
+    that may be fitted"""
+
+    frame: np.ndarray
+    t: np.ndarray
+    q: np.ndarray
+    left: np.ndarray
+    freedoms: np.ndarray
+    joints: np.ndarray
+    own: np.ndarray
+    moments: tuple
+    path: object
+    channels: dict
+    lengths: np.ndarray
+
+    def __len__(self):
+        return len(self.t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """An admitted hypothesis. family : Family; shape : {name: value}; weights : (n, q) rad per unit at its joint; prior : (q,) sizes"""
+
+    family: object
+    shape: dict
+    weights: np.ndarray
+    prior: np.ndarray
+
+    def columns(self, arms):
+        """(n, k, q) m and rad per unit of each coefficient."""
+        return columns(arms, self.family.joint, self.weights)
+
+
+def columns(arms, joint, weights):
+    """(n, k, q) change of what is measured with weights (n, q) at a joint (index), or of all links' lengths where joint is None."""
+    direction = arms.lengths if joint is None else arms.joints[..., joint]
+    return direction[..., None] * weights[:, None, :]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Freedoms and terms at their best on the poses `used` (n,) bool, weighted by W (n, k, k).
+
+    X : (n, k, p + c) whitened columns; half : (p + c, p + c) upper triangular, half.T half = information with priors; theta : the sizes
+    left : (n, k) residual, m and rad, of all poses; y : (n, k) the same whitened; scatter : (k,) beyond the instrument's own
+    terms : the admitted; slices : where each one's sizes are in theta
+    """
+
+    arms: Arms
+    terms: tuple
+    used: np.ndarray
+    W: np.ndarray
+    X: np.ndarray
+    half: np.ndarray
+    theta: np.ndarray
+    left: np.ndarray
+    y: np.ndarray
+    scatter: np.ndarray
+    slices: tuple
+
+    @property
+    def size(self):
+        """How many independent numbers there are."""
+        return int(self.used.sum()) * self.y.shape[1] - self.arms.freedoms.shape[2]
+
+    def basis(self):
+        """(m, k, p + c) of the used poses: columns whose products are what freedoms and terms take out."""
+        X = self.X[self.used]
+        return solve_triangular(self.half, X.reshape(-1, X.shape[2]).T, trans="T", lower=False, check_finite=False).T.reshape(X.shape)
+
+    def covariance(self, number):
+        """(c, c) of one term's sizes."""
+        inverse = solve_triangular(self.half, np.eye(len(self.half)), lower=False)
+        part = inverse[self.slices[number]]
+        return part @ part.T
+
+    def cost(self):
+        """-2 log likelihood, priors' part included, up to a constant of the data alone."""
+        spread = np.linalg.slogdet(self.W[self.used])[1].sum()
+        return float((self.y[self.used] ** 2).sum() - 2 * spread)
+
+    def part(self, number):
+        """(n, q) . sizes: rad (or unit) by which a term moves its joint in every pose."""
+        return self.terms[number].weights @ self.theta[self.slices[number]]
+
+
+def fit(arms, terms=(), train=None, scatter=None, rounds=ROUNDS):
+    """Fit of terms on the poses of a mask train (n,), all by default; scatter : (k,) where it starts; rounds : of weighing anew."""
+    train = np.ones(len(arms), bool) if train is None else train
+    parts = [arms.freedoms] + [term.columns(arms) for term in terms]
+    raw = np.concatenate(parts, axis=2)
+    edges = np.cumsum([part.shape[2] for part in parts])
+    slices = tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:]))
+    prior = np.concatenate([np.zeros(edges[0])] + [1 / term.prior**2 for term in terms])
+    used, k = train.copy(), arms.left.shape[1]
+    scatter = _scatter(arms.left[used], arms.own[used]) if scatter is None else scatter
+    for _ in range(rounds):
+        W = np.linalg.inv(np.linalg.cholesky(arms.own + np.diag(scatter**2)))
+        X = W @ raw
+        flat = X[used].reshape(-1, X.shape[2])
+        H = flat.T @ flat
+        H[np.diag_indices_from(H)] += prior + LOOSE * np.diag(H) + 1e-300
+        factor = cho_factor(H)
+        theta = cho_solve(factor, flat.T @ (W[used] @ arms.left[used][..., None]).ravel())
+        left = arms.left - raw @ theta
+        taken = edges[-1] - (prior[edges[0]:] * np.einsum("ii->i", cho_solve(factor, np.eye(len(H))))[edges[0]:]).sum()
+        new = _scatter(left[used], arms.own[used], min(taken / flat.shape[0], 0.8))
+        sigma = np.sqrt(np.einsum("nkk->nk", arms.own) + new**2)
+        good = train & (np.abs(left) < GATE * sigma).all(axis=1)
+        if (good == used).all() and np.allclose(new, scatter, rtol=SETTLED, atol=1e-9):
+            break
+        used, scatter = good, new
+    y = (W @ left[..., None]).reshape(-1, k)
+    return Fit(arms, tuple(terms), used, W, X, np.triu(factor[0]), theta, left, y, scatter, slices)
+
+
+def stretches(count, number):
+    """(count,) fold of each pose: whole stretches in time."""
+    return blocks(count, min(number, max(count // 4, 2)))
+
+
+def _scatter(left, own, share=0.0):
+    """(k,) scatter beyond the instrument's, one figure for positions, one for rotations; share : of the numbers that were fitted."""
+    out = np.zeros(left.shape[1])
+    for part in (slice(0, 3), slice(3, 6)):
+        if left[:, part].size:
+            seen, stated = (left[:, part] ** 2).mean() / (1 - share), np.einsum("nkk->nk", own)[:, part].mean()
+            if seen > stated * (1 + 3 * np.sqrt(2 / left[:, part].size)):
+                out[part] = np.sqrt(seen - stated)
+    return out

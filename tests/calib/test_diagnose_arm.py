@@ -1,0 +1,92 @@
+"""What an arm leaves out: hidden at its joints, found there; where nothing is hidden, nothing is found."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnose import arm, arm_result
+from calib.diagnose.joint_families import families, moments
+from calib.diagnose.joint_select import findings, select
+from calib.diagnose.unknown import Unknown
+from rig.effects.play import play
+from rig.errors import NotEnoughData
+from rig.mechanisms import dynamics
+from tests.calib import arm_worlds
+from tests.rig.arms import UR10
+
+GRAVITY = np.array([0, 0, -9.80665])
+STIFFNESS = 2e5  # N m/rad
+GAP = 6e-4  # rad
+STANDING = replace(UR10, base=arm_worlds.BASE)  # it leans, and so does its weight
+LINKS = dynamics.Links(np.array([8.0, 12.0, 6.0, 2.0, 1.0, 0.5]), np.tile([-0.05, 0.02, 0.06], (6, 1)), np.zeros((6, 3, 3)))
+
+
+def recorded(deviation, count=260, seed=5):
+    """(Arms, Identified) of an arm whose joints do deviation(q) beyond their command."""
+    rng = np.random.default_rng(seed)
+    true = arm_worlds.secret(UR10, rng)
+    samples = arm_worlds.tracked(true, UR10, count, rng, deviation=deviation)
+    return arm.arms_of(samples, UR10, arm_worlds.TRACKER, GRAVITY), true
+
+
+def hidden(q):
+    """Compliance of joint 2, a profile of joint 1, backlash of joint 3."""
+    out = np.zeros(q.shape)
+    out[:, 0] = 2e-4 * np.sin(5 * q[:, 0]) + 1.5e-4 * np.cos(11 * q[:, 0]) + 1.2e-4 * np.sin(8 * q[:, 0] + 1) + 1e-4 * np.sin(2 * q[:, 0])
+    torque = dynamics.torques(q, np.zeros(q.shape), np.zeros(q.shape), STANDING, LINKS, GRAVITY)
+    out[:, 1] = -torque[:, 1] / STIFFNESS
+    out[:, 2] = (play(q, GAP / 2) - q)[:, 2]
+    return out
+
+
+@pytest.fixture(scope="module")
+def found():
+    (arms, _), _ = recorded(hidden)
+    asked, _ = families(arms)
+    return arms, asked, select(arms, asked)
+
+
+def test_hidden_effects_are_found_at_their_joints(found):
+    _, _, fit = found
+    names = {(t.family.name, t.family.place) for t in fit.terms}
+    assert ("compliance", "joint 2") in names and ("backlash", "joint 3") in names
+    assert {place for name, place in names if name in ("transmission_error", "cyclic_error")} == {"joint 1"}
+    assert {place for _, place in names} == {"joint 1", "joint 2", "joint 3"}
+
+
+def test_sizes_are_those_that_were_hidden(found):
+    arms, asked, fit = found
+    listed = findings(fit, asked)
+    d = arm.ArmDiagnosis("arm", "poses.csv", arms, fit, fit, listed, len(asked), [], [], [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
+    by_name = {arm_result._finding(d, f)["effect"]: arm_result._finding(d, f) for f in listed}
+    gap = by_name["backlash"]["parameters"]["gap"]
+    assert gap["ci95"][0] <= GAP <= gap["ci95"][1] and gap["ci95"][1] - gap["ci95"][0] < 0.3 * GAP
+    load = hidden(arms.q)[:, 1]
+    assert by_name["compliance"]["parameters"]["deflection"]["value"] == pytest.approx(load.std(), rel=0.15)
+    json.dumps(list(by_name.values()))
+
+
+def test_nothing_hidden_nothing_found():
+    for seed in (1, 2):
+        (arms, _), _ = recorded(None, 200, seed)
+        asked, _ = families(arms)
+        assert select(arms, asked).terms == ()
+
+
+def test_moments_make_up_the_weights_torque():
+    rng = np.random.default_rng(0)
+    q = arm_worlds.configurations_of(UR10, 80, rng)
+    still = np.zeros(q.shape)
+    torque = dynamics.torques(q, still, still, STANDING, LINKS, GRAVITY)
+    for j, (values, names) in enumerate(moments(q, STANDING, GRAVITY)):
+        assert values.shape[1] == len(names)
+        columns = np.column_stack([values, np.ones(len(q))])
+        left = torque[:, j] - columns @ np.linalg.lstsq(columns, torque[:, j], rcond=None)[0]
+        assert np.abs(left).max() < 1e-3 * max(np.abs(torque).max(), 1e-9)
+
+
+def test_few_poses_are_an_error():
+    with pytest.raises(NotEnoughData, match="too few to diagnose an arm"):
+        recorded(None, 40)
