@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from calib.report import page, table
 
+SURE = ("effect", "place", "size", "delta BIC", "held-out RMS without it, mm", "with it", "cannot be told from")
 HELP = {"transmission_error": "the joint's own angle", "cyclic_error": "the joint's own angle", "scale_error": "the joint's own angle"}
 
 
@@ -29,7 +30,7 @@ def diagnosis_page(path, d):
             for label, left in (("geometry alone", h.before), ("with effects", h.after))]
     parts = [f"<p>{verdict}</p>", table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
     if d.findings:
-        parts += ["<h2>How sure</h2>", table(("effect", "place", "size", "delta BIC", "held-out RMS without it, mm", "with it", "cannot be told from"),
+        parts += ["<h2>How sure</h2>", table(SURE,
                   [_row(d, f, parameters(d, f)) for f in d.findings])]
         parts += ["<h2>What it looks like</h2><p class=note>Residual turned back into the joint, everything else taken out: grey with the effect "
                   "left in, blue with it taken out; red the effect as fitted.</p>", _effects(d)]
