@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from calib.report import page, table
 
+SURE = ("effect", "place", "size", "delta BIC", "held-out RMS without it, mm", "with it", "cannot be told from")
 HELP = {"transmission_error": "the joint's own angle", "cyclic_error": "the joint's own angle", "scale_error": "the joint's own angle"}
 
 
@@ -21,16 +22,18 @@ def diagnosis_page(path, d):
     names = ", ".join(sorted({f"{t.family.name} at {t.family.place}" for t in d.fit.terms}))
     held = d.held[0]
     before, after = figures(held.before)["mean_m"] * 1e3, figures(held.after)["mean_m"] * 1e3
-    verdict = (f"Left out: <b>{html.escape(names)}</b>. On stretches that were neither fitted nor used to choose, the mean position error falls from "
-               f"{before:.3f} mm (geometry alone) to <b>{after:.3f} mm</b>; the instrument's own uncertainty is {noise(d)['pose_m'] * 1e3:.3f} mm."
+    verdict = (f"Left out: <b>{html.escape(names)}</b>. On stretches neither fitted nor used to choose, the mean position error falls from "
+               f"{before:.3f} mm (geometry alone) to <b>{after:.3f} mm</b>; the instrument's own uncertainty is "
+               f"{noise(d)['pose_m'] * 1e3:.3f} mm."
                if d.fit.terms else "Nothing is left out: the recording and the geometry agree within the noise.")
-    rows = [row(f"{label}, {h.stretches} stretches", left) for h in d.held for label, left in (("geometry alone", h.before), ("with effects", h.after))]
+    rows = [row(f"{label}, {h.stretches} stretches", left) for h in d.held
+            for label, left in (("geometry alone", h.before), ("with effects", h.after))]
     parts = [f"<p>{verdict}</p>", table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
     if d.findings:
-        parts += ["<h2>How sure</h2>", table(("effect", "place", "size", "delta BIC", "held-out RMS without it, mm", "with it", "cannot be told from"),
+        parts += ["<h2>How sure</h2>", table(SURE,
                   [_row(d, f, parameters(d, f)) for f in d.findings])]
-        parts += ["<h2>What it looks like</h2><p class=note>Residual turned back into the joint: dots with everything else taken out (grey, the effect "
-                  "itself left in; blue, taken out), and the effect as fitted.</p>", _effects(d)]
+        parts += ["<h2>What it looks like</h2><p class=note>Residual turned back into the joint, everything else taken out: grey with the effect "
+                  "left in, blue with it taken out; red the effect as fitted.</p>", _effects(d)]
     parts += ["<h2>Pose by pose</h2>", _errors(held)]
     if d.unknown:
         parts += ["<h2>What nobody can name</h2>", table(("place", "RMS", "depends on"),
@@ -66,7 +69,7 @@ def _effects(d):
         good = np.flatnonzero(fit.used)[np.argsort(x[fit.used])]
         axes.plot(x[good], (rest + moved - level)[good] * 1e3, ".", ms=2, color="0.6")
         axes.plot(x[good], rest[good] * 1e3, ".", ms=1.5, color="tab:blue")
-        axes.plot(x[good], (moved - level)[good] * 1e3, "-" if len(one.prior) < 60 else "-", lw=0.8, color="tab:red")
+        axes.plot(x[good], (moved - level)[good] * 1e3, "-", lw=0.8, color="tab:red")
         size = 1.2 * np.quantile(np.abs((rest + moved - level)[good]), 0.99) * 1e3
         axes.set(title=f"{one.family.name}, {one.family.place}", xlabel=label, ylabel="mrad", ylim=(-size, size))
     return figure

@@ -32,7 +32,8 @@ FAINT = 5e-3  # of a load's column, m/s^2 m; a smaller one bends nothing
 RANK = 1e-3  # of the greatest column; what a column has beyond the earlier ones must be more
 USUAL = {"scale_error": 2e-3, "cyclic_error": 5e-4, "transmission_error": 5e-4, "backlash": 1e-3, "hysteresis": 1e-2, "compliance": 1e-3,
          "joint_clearance": 1e-3, "warm_up": 1e-3, "missed_steps": 2e-3, "creep": 1e-2, "thermal_expansion": 1e-4}  # prior sizes
-REASONS = {"servo_lag": "poses are taken at rest, where a lag is over", "time_offset": "poses are taken at rest", "clock_drift": "poses are taken at rest"}
+REST = "poses are taken at rest"
+REASONS = {"servo_lag": REST, "time_offset": REST, "clock_drift": REST}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +123,7 @@ def _family(name, j, arms):
         counts = [c for c in counts if c <= SHARE * len(q)]
         return Family(name, j, [{"knots": c, "low": low, "high": high} for c in counts], lambda shape: spline(q, shape), usual)
     if name == "backlash":
-        return Family(name, j, [{"gap": float(g)} for g in GAPS],
-                      lambda shape: ((play(path.lengths[:, [j]], shape["gap"] / 2)[:, 0] - path.lengths[:, j]) / shape["gap"])[path.at][:, None], usual)
+        return Family(name, j, [{"gap": float(g)} for g in GAPS], lambda shape: _behind(path, j, shape["gap"] / 2)[:, None] / shape["gap"], usual)
     if name == "hysteresis":
         return Family(name, j, [{"range": float(r)} for r in RANGES], lambda shape: _loops(path, j, shape["range"])[:, None], usual, 1)
     if name == "warm_up":
@@ -134,8 +134,8 @@ def _family(name, j, arms):
         times = ((t[EDGE - 1 : -EDGE : STRIDE] + t[EDGE : len(t) - EDGE + 1 : STRIDE]) / 2).tolist()
         return Family(name, j, [{"time": v} for v in times], lambda shape: (t >= shape["time"]).astype(float)[:, None], usual, 1)
     if name == "creep":
-        return Family(name, j, [{"time_constant": float(tau)} for tau in CREEPS],
-                      lambda shape: (lag(path.t, path.lengths[:, [j]], shape["time_constant"])[:, 0] - path.lengths[:, j])[path.at][:, None], usual, 1)
+        shapes = [{"time_constant": float(tau)} for tau in CREEPS]
+        return Family(name, j, shapes, lambda shape: _late(path, j, shape["time_constant"])[:, None], usual, 1)
     load = arms.moments[j][0]
     if not load.shape[1]:
         return None
@@ -156,10 +156,19 @@ def spline(q, shape):
     return CubicSpline(knots, np.eye(shape["knots"]), bc_type="natural")(np.clip(q, shape["low"], shape["high"]))
 
 
-def _loops(path, j, reach, plays=8):
-    halves = reach * (np.arange(plays) + 0.5) / plays
+def _behind(path, j, half):
+    """(n,) rad by which a play of half width `half` trails the command."""
     x = path.lengths[:, [j]]
-    return np.mean([play(x, half) - x for half in halves], axis=0)[path.at, 0]
+    return (play(x, half) - x)[path.at, 0]
+
+
+def _late(path, j, time_constant):
+    x = path.lengths[:, [j]]
+    return (lag(path.t, x, time_constant) - x)[path.at, 0]
+
+
+def _loops(path, j, reach, plays=8):
+    return np.mean([_behind(path, j, half) for half in reach * (np.arange(plays) + 0.5) / plays], axis=0)
 
 
 def _sides(load):

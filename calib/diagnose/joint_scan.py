@@ -110,14 +110,17 @@ def dispersion(fit, basis, family, shape, coefficients):
     return max(1.0, float((summed**2).sum() / max((U**2).sum(), 1e-300)))
 
 
-def term(score, arms):
+def term(score):
     """Term of a Score, at its shape."""
-    weights = score.family.weights(score.shape)
-    return Term(score.family, score.shape, weights, np.full(weights.shape[1], score.family.prior))
+    return shaped(score.family, score.shape)
+
+
+def shaped(family, shape):
+    """Term of a family at a shape."""
+    weights = family.weights(shape)
+    return Term(family, shape, weights, np.full(weights.shape[1], family.prior))
 
 
 def reshaped(old, **shape):
     """A Term at another shape."""
-    shape = {**old.shape, **shape}
-    weights = old.family.weights(shape)
-    return Term(old.family, shape, weights, np.full(weights.shape[1], old.family.prior))
+    return shaped(old.family, {**old.shape, **shape})

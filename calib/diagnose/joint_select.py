@@ -52,7 +52,7 @@ def select(arms, families, train=None, progress=None):
     now = fit(arms, (), train)
     tried = set()
     for _ in range(MOST):
-        scores = joint_scan.scan(now, families, (lambda a, b: progress(f"searching beside {len(now.terms)} effects", a, b)) if progress else None)
+        scores = joint_scan.scan(now, families, _labelled(progress, f"searching beside {len(now.terms)} effects"))
         scores = [s for s in scores if convincing(s, len(families), now.size) and _key(s) not in tried]
         if not scores or len(now.terms) >= MOST:
             break
@@ -61,14 +61,18 @@ def select(arms, families, train=None, progress=None):
             if score.family.joint in joints or score.raw_gain(now.size) < BESIDE * top:
                 continue
             joints.add(score.family.joint)
-            one = joint_scan.term(score, arms)
+            one = joint_scan.term(score)
             again = [score] if len(joints) == 1 else joint_scan.scan(now, [_only(one)])
             if again and convincing(again[0], len(families), now.size):
                 tried.add(_key(score))
                 now = fit(arms, (*now.terms, one), train, now.scatter, rounds=QUICK)
         now = _pruned(now, train)
-    now = _paying(_simplified(now, families, train), train)
+    now = _paying(_simplified(_gathered(now, families, train), families, train), train)
     return fit(arms, now.terms, train, now.scatter)
+
+
+def _labelled(progress, label):
+    return None if progress is None else lambda done, of: progress(label, done, of)
 
 
 def convincing(score, count, size):
@@ -84,7 +88,7 @@ def findings(now, families, progress=None):
     for number, one in enumerate(now.terms):
         rest = tuple(t for i, t in enumerate(now.terms) if i != number)
         without = fit(arms, rest, now.used, now.scatter, rounds=1)
-        scores = joint_scan.scan(without, families, (lambda a, b: progress(f"rivals of {one.family.name}", a, b)) if progress else None)
+        scores = joint_scan.scan(without, families, _labelled(progress, f"rivals of {one.family.name} {number + 1}"))
         own = joint_scan.scan(without, [_only(one)])[0]
         basis = without.basis()
         mine = (joint_scan.signature(without, basis, one.family, one.shape) @ own.coefficients).ravel()
@@ -135,6 +139,22 @@ def _pruned(now, train):
     return now
 
 
+def _gathered(now, families, train):
+    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well."""
+    for family in [f for f in families if f.name == "transmission_error"]:
+        finest = max(shape["knots"] for shape in family.shapes)
+        reach = np.pi * (finest - 1) / max(family.shapes[0]["high"] - family.shapes[0]["low"], 1e-9)  # orders that its knots can follow
+        cycles = [t for t in now.terms if t.family.joint == family.joint and t.family.name in OWN and t.shape.get("order", 0) < reach]
+        if len(cycles) <= CYCLES:
+            continue
+        rest = tuple(t for t in now.terms if all(t is not c for c in cycles))
+        trials = [fit(now.arms, (*rest, joint_scan.shaped(family, shape)), now.used, now.scatter, rounds=1) for shape in family.shapes]
+        best = min(trials, key=_criterion)
+        if _criterion(best) < _criterion(fit(now.arms, now.terms, now.used, now.scatter, rounds=1)) + GAIN * len(cycles):
+            now = fit(now.arms, best.terms, train, now.scatter, rounds=QUICK)
+    return now
+
+
 def _simplified(now, families, train):
     """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; knots made as few as will do."""
     for one in [t for t in now.terms if t.family.name == "transmission_error"]:
@@ -147,7 +167,7 @@ def _simplified(now, families, train):
             scores = joint_scan.scan(fit(now.arms, simple, now.used, now.scatter, rounds=1), own) if own else []
             if not scores:
                 break
-            simple = (*simple, joint_scan.term(scores[0], now.arms))
+            simple = (*simple, joint_scan.term(scores[0]))
             trials.append(simple)
         bare = [(_criterion(fit(now.arms, trial, now.used, now.scatter, rounds=1)), trial) for trial in trials]
         best = min(bare, key=lambda pair: pair[0], default=(np.inf, None))

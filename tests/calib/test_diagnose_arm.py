@@ -10,6 +10,7 @@ from calib.diagnose import arm, arm_result
 from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
 from calib.diagnose.unknown import Unknown
+from rig import cli
 from rig.effects.play import play
 from rig.errors import NotEnoughData
 from rig.mechanisms import dynamics
@@ -90,3 +91,18 @@ def test_moments_make_up_the_weights_torque():
 def test_few_poses_are_an_error():
     with pytest.raises(NotEnoughData, match="too few to diagnose an arm"):
         recorded(None, 40)
+
+
+def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    true = arm_worlds.secret(UR10, rng)
+    samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
+    arm_worlds.write(tmp_path / "rec", UR10, samples)
+    assert cli.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), "--only", "scale_error", "--only", "creep"]) == 0
+    tree = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    first = tree["findings"][0]
+    low, high = first["parameters"]["scale"]["ci95"]
+    assert (first["effect"], first["place"]) == ("scale_error", "joint 4") and low < 3e-3 < high
+    assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
+    assert "scale_error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
+    assert "scale_error at joint 4" in capsys.readouterr().out
