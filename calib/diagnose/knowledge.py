@@ -42,6 +42,7 @@ class Knowledge:
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None; common : (F, 6, k) their shared errors
     commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
     standing : px, what comes back in every frame where neither camera nor marker moves
+    known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     """
 
     design: Design
@@ -56,6 +57,7 @@ class Knowledge:
     seen: Seen | None
     effects: tuple = ()
     standing: float = 0.0
+    known: tuple | None = None
 
     @property
     def state(self):
@@ -118,15 +120,21 @@ class Knowledge:
         return replace(self, effects=tuple(effects))
 
 
-def of_recording(recording, progress=None):
+def of_recording(recording, progress=None, calibration=None):
     """(Knowledge, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
 
+    calibration : store.Calibration of another recording of the same hexapod, whose joints are then known beforehand, or None
     Raises NotEnoughData where nothing was measured, and what measuring raises
     """
     design = recording.design
     if design.mechanism.kind not in ("hexapod", "free"):
         raise RigError(f"{recording.folder}: diagnosing takes a hexapod or a free body, not a mechanism of kind {design.mechanism.kind!r}; "
                        "rig calibrate says what its geometry leaves")
+    known = None
+    if calibration is not None:
+        if design.mechanism.kind != "hexapod" or calibration.correction.fitted.kind != "hexapod":
+            raise RigError(f"{recording.folder}: a calibration can be taken as known of a hexapod alone")
+        known = calibration.correction.fitted, np.linalg.cholesky(np.linalg.inv(calibration.covariance)).T
     if design.mechanism.kind == "free" or recording.commands is None:
         measured, collected = measure_recording(recording, progress=progress)
         source = "images" if collected is not None else "corners.csv"
@@ -135,14 +143,15 @@ def of_recording(recording, progress=None):
         measured, source = sampled.measurement, sampled.source
         if measured is None:
             s = sampled.samples
-            return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, recording.sensors, None), \
-                source, None
+            return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, recording.sensors, None,
+                             known=known), source, None
     if len(measured.frames) < 12:
         raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes 12, better 100")
     frames, times = recording.exposures.times()
     state = measured.adjustment.state
     knowledge = Knowledge(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
-                          state.moving, None, recording.commands if design.mechanism.kind != "free" else None, recording.sensors, None)
+                          state.moving, None, recording.commands if design.mechanism.kind != "free" else None, recording.sensors, None,
+                          known=known)
     return replace(knowledge, seen=_seen(measured, knowledge)), source, measured
 
 

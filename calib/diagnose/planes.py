@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.diagnose.corners import MEDIAN, corner_rows
 from calib.diagnose.knowledge import Knowledge
-from calib.identify import PRIOR, loop_jacobian
+from calib.identify import PRIOR, loop_jacobian, parameters
 from rig import mechanisms
 
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -160,7 +160,12 @@ def linearise(knowledge):
     else:
         S, raw, lengths = np.zeros((len(k.t), 0, 0)), np.zeros((len(k.t), 0)), np.zeros((len(k.t), 0, image.shape[1]))
         to_length = np.zeros((len(k.t), 0, to_local.shape[1]))
-    return _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image, lengths, np.array(priors), tuple(names), sigma,
+    beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
+    if k.axes and k.known is not None:
+        mechanism, root = k.known
+        beforehand[-42:, 0] = root @ (parameters(mechanism) - parameters(k.design.mechanism))
+        beforehand[-42:, -42:] = root
+    return _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image, lengths, beforehand, tuple(names), sigma,
                     camera_columns, inner, excess)
 
 
@@ -189,14 +194,17 @@ def _orthonormal(gram):
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image, lengths, priors, names, sigma, camera_columns, at_own, excess):
-    """Planes with the struts weighed by the poses' noise and by what they scatter beyond."""
+def _weighed(k, order, edges, whiten, local, to_local, to_length, S, raw, image, lengths, beforehand, names, sigma, camera_columns, at_own, excess):
+    """Planes with the struts weighed by the poses' noise and by what they scatter beyond.
+
+    beforehand : (q, 1 + freedoms) rows of what was known before: residual, then freedoms
+    """
     F, axes, seen = len(k.t), k.axes, image.shape[1] - 1
     scatter = np.zeros(axes)
     inner = image.T @ image
     for turn in range(ROUNDS):
         W = np.linalg.inv(np.linalg.cholesky(S + np.diag(scatter**2))) if axes else np.zeros((F, 0, 0))
-        rows = np.concatenate([(W @ lengths).reshape(F * axes, lengths.shape[2]), np.column_stack([np.zeros(len(priors)), np.diag(priors)])])
+        rows = np.concatenate([(W @ lengths).reshape(F * axes, lengths.shape[2]), beforehand])
         gram = rows.T @ rows
         gram[: seen + 1, : seen + 1] += inner
         half = _orthonormal(gram[1:, 1:])

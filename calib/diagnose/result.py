@@ -42,13 +42,15 @@ class Diagnosis:
         return [self.selection.settled.knowledge.effects[f.number] for f in self.selection.findings]
 
 
-def diagnose(recording, only=None, without=(), progress=None):
+def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     """Diagnosis of a Recording.
 
     only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
-    progress : called with (label, done, of), or None. Raises NotEnoughData where too little was measured, and what measuring raises
+    progress : called with (label, done, of), or None
+    calibration : store.Calibration of another recording, whose joints are taken as known to its covariance: what it has not swallowed
+    shows, and what has changed since. Raises NotEnoughData where too little was measured, and what measuring raises
     """
-    knowledge, source, _ = known.of_recording(recording, progress)
+    knowledge, source, _ = known.of_recording(recording, progress, calibration)
     swapped = swaps(knowledge) if "marker_swap" not in without and (not only or "marker_swap" in only) else []
     knowledge = within_reach(exchanged(knowledge, swapped))
     asked, skipped = families(knowledge, only, without)

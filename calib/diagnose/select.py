@@ -95,10 +95,13 @@ def _prune(settled, chosen, signatures):
         worst = int(np.argmin(gains))
         if gains[worst] >= GAIN:
             break
-        effects = [e for i, e in enumerate(settled.knowledge.effects) if i != worst]
-        chosen = [c for i, c in enumerate(chosen) if i != worst]
-        settled = settle(settled.knowledge.with_effects(effects), signatures)
+        settled, chosen = _left_out(settled, worst, signatures), chosen[:worst] + chosen[worst + 1 :]
     return settled, chosen
+
+
+def _left_out(settled, number, signatures):
+    """Settled without an admitted effect."""
+    return settle(settled.knowledge.with_effects([e for i, e in enumerate(settled.knowledge.effects) if i != number]), signatures)
 
 
 def _confirm(settled, chosen, families, signatures, progress):
@@ -108,6 +111,9 @@ def _confirm(settled, chosen, families, signatures, progress):
         if number == len(chosen):
             break
         score, rivals = _rivals(settled, number, chosen, families, signatures, progress)
+        if not _convincing(score, len(families), settled.planes.size):  # beside all others it is none
+            settled, chosen, number, findings = _left_out(settled, number, signatures), chosen[:number] + chosen[number + 1 :], 0, []
+            continue
         better = rivals and rivals[0].behind < -1.0 and _convincing(rivals[0].score, len(families), settled.planes.size)
         replaced = _replaced(settled, number, rivals[0].score, signatures) if better else None
         if replaced is not None:
@@ -143,13 +149,16 @@ def _rivals(settled, number, chosen, families, signatures, progress):
     scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)
     own = next(s for s in scores if s.family is chosen[number])
     signature = _signature(planes, own, signatures)
-    rivals = []
-    for s in scores:
+    rivals, listed = [], set()
+    for s in scores:  # the best of each kind and place first
         if s.family is own.family or (s.family.kind is own.family.kind and s.family.place == own.family.place):
             continue
         behind = own.raw_gain(planes.size) - s.raw_gain(planes.size)
         if behind > max(2 * ALIKE, NEAR * own.drop * own.dispersion) or s.p_value > 1e-4:
             continue
+        if (s.family.kind, s.family.place) in listed:
+            continue
+        listed.add((s.family.kind, s.family.place))
         other = _signature(planes, s, signatures)
         rivals.append(Rival(s, behind, _cosine(planes, signature, other)))
     return own, sorted(rivals, key=lambda r: r.behind)

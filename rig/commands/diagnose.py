@@ -1,8 +1,8 @@
-"""rig diagnose REC --out DIR."""
+"""rig diagnose REC --out DIR [--calibration FILE]."""
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_folder
+from rig.commands.output import SEED, Progress, fresh_folder
 from rig.errors import RigError
 
 
@@ -10,6 +10,8 @@ def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="of the same rig from another recording: its joints are taken as known, "
+                        "so that less can hide in them")
     parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
     parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
 
@@ -25,7 +27,10 @@ def run(arguments):
     recording = recordings.load(arguments.recording)
     out = fresh_folder(arguments.out, recording.folder)
 
+    calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
     if recording.design.mechanism.kind == "arm":
+        if calibration is not None:
+            raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
         from calib.diagnose import arm
         from calib.diagnose import arm_result as result
 
@@ -35,7 +40,7 @@ def run(arguments):
         from calib.diagnose import result
         from calib.diagnose.page import diagnosis_page
 
-        found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+        found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress(), calibration)
         result.save(out, found, recording)
         diagnosis_page(out / "diagnosis.html", recording, found)
     tree = result.to_dict(found)
@@ -50,6 +55,16 @@ def run(arguments):
     before, after, floor = (fit[name] * scale for name in ("heldout_before", "heldout_after", "noise_floor"))
     print(f"held out: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
     print(f"written: {out / 'diagnosis.json'}; look at {out / 'diagnosis.html'}")
+
+
+def _known(path, recording):
+    """Calibration of a file. Raises RigError where it was made from this very recording, which would count twice."""
+    from calib import store
+
+    calibration = store.load(path)
+    if store.provenance(recording, [], SEED, False)["inputs_sha256"].items() <= calibration.provenance["inputs_sha256"].items():
+        raise RigError(f"{path} was made from {recording.folder}, which would count twice; diagnose without it, or take another recording's")
+    return calibration
 
 
 def _parameter(name, parameter):

@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib import store
+from calib.certificate import certify
 from calib.diagnose import gross, result, scan, settle, unknown
 from calib.diagnose.hypotheses import Signatures, families
 from calib.diagnose.knowledge import of_recording
 from calib.diagnose.planes import linearise
+from calib.pipeline import sample_recording
 from rig import plan, recording
 from rig.effects.parse import parse
 from rig.layout import layout
@@ -121,3 +124,18 @@ def test_tangents_of_what_is_seen_are_derivatives(quiet):
 
     expected = jacobian(whitened, np.array([coordinates[at].read(effect)]), 1e-4)[..., 0]
     np.testing.assert_allclose(column.image[:, at], expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, design):
+    rng = np.random.default_rng(7)
+    for name, load in (("before", ()), ("after", ("compliance:rig:stiffness=8e6",))):
+        secret = world.draw(design, np.random.default_rng(7), 1.0, tuple(parse(text) for text in load))
+        simulation.write(simulation.simulate(secret, plan.build(design, "sobol:90", len(load)), rng), tmp_path / name, layout(0.3), rng, 0.04)
+    before, after = (recording.load(tmp_path / name) for name in ("before", "after"))
+    sampled = sample_recording(before)
+    correction, found, held_out = certify(sampled.samples, before.design.mechanism, rng)
+    known = store.Calibration(correction, found.covariance, found.scatter, (), (), held_out, {})
+    assert not result.diagnose(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
+    tree = result.to_dict(result.diagnose(after, only=["compliance"], calibration=known))
+    assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]
+    assert tree["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(8e6, rel=0.2)
