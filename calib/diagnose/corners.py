@@ -43,7 +43,7 @@ def corner_rows(k):
         name, at = k.stated.cameras[i].name, seen.sightings.camera == i
         moved = np.zeros_like(quads)
         moved[at] = EdgeBias(f"camera {name}", 1.0).print_(k.stated.cameras[i], quads[at]) - quads[at]
-        shared.append((whitener @ moved[seen.row, o.corner][..., None]))
+        shared.append(whitener @ moved[seen.row, o.corner][..., None])
         names.append((name, "edges"))
         priors.append(1 / FINDER)
     order = np.lexsort((o.camera, o.frame))

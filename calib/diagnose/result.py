@@ -10,7 +10,7 @@ from calib.diagnose.gross import exchanged, swaps
 from calib.diagnose.hypotheses import Signatures, families
 from calib.diagnose.knowledge import within_reach
 from calib.diagnose.prove import Proof, corner_noise, overall, prove
-from calib.diagnose.select import Selection, select
+from calib.diagnose.select import Selection, select, supported
 from calib.diagnose.unknown import unknowns
 from rig.effects import BY_NAME
 from rig.effects.parse import to_dict as effect_dict
@@ -56,8 +56,10 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     asked, skipped = families(knowledge, only, without)
     signatures = Signatures(knowledge)
     selection = select(knowledge, asked, signatures, progress)
-    planes = _bare(selection.settled)
-    left = unknowns(planes)
+    left = unknowns(_bare(selection.settled))
+    if left and selection.findings:
+        selection = supported(selection, asked, signatures, left)
+        left = unknowns(_bare(selection.settled))
     plane = "struts" if knowledge.axes else "view"
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:

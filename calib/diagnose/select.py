@@ -1,6 +1,6 @@
 """Which effects: forward steps, backward checks, and for each the rivals that would have explained as much."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from calib.diagnose.planes import linearise
 from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
+from calib.diagnose.unknown import cover
 from rig.effects.base import check
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
@@ -124,6 +125,33 @@ def _confirm(settled, chosen, families, signatures, progress):
     return settled, chosen, sorted(findings, key=lambda f: -f.score.drop)
 
 
+def supported(selection, families, signatures, left):
+    """Selection without the findings that smooth functions of what is left unexplained would explain as well: where the model is known
+    to be wrong, a name must stand on more than what those can imitate. left : [Unknown]"""
+    settled, kept = selection.settled, []
+    for f in selection.findings:
+        planes = _beside(settled, f.number, signatures)
+        smooth = cover(planes, left)
+        if smooth is None:
+            return selection
+        score = search(planes.without(smooth), [f.score.family], signatures.at(planes.knowledge))[0]
+        if _convincing(score, len(families), planes.size):
+            kept.append(f)
+    if len(kept) == len(selection.findings):
+        return selection
+    numbers = sorted(f.number for f in kept)
+    settled = settle(settled.knowledge.with_effects([settled.knowledge.effects[i] for i in numbers]), signatures)
+    return replace(selection, settled=settled, findings=[replace(f, number=numbers.index(f.number)) for f in kept])
+
+
+def _beside(settled, number, signatures):
+    """Planes without an admitted effect, the parameters of the others among the freedoms."""
+    k = settled.knowledge
+    planes = linearise(k.with_effects(tuple(e for i, e in enumerate(k.effects) if i != number)))
+    _, column = tangents(planes, signatures)
+    return planes if column is None else planes.without(column)
+
+
 def _replaced(settled, number, score, signatures):
     """Settled with a hypothesis in place of an admitted effect, at the same number, where it fits better for its size; else None."""
     effects = list(settled.knowledge.effects)
@@ -139,13 +167,9 @@ def _replaced(settled, number, score, signatures):
 
 def _rivals(settled, number, chosen, families, signatures, progress):
     """(Score of a finding, [Rival] by weight) with the other findings admitted and their parameters free."""
-    k = settled.knowledge
-    others = tuple(e for i, e in enumerate(k.effects) if i != number)
-    planes = linearise(k.with_effects(others))
-    _, column = tangents(planes, signatures)
-    planes = planes if column is None else planes.without(column)
+    planes = _beside(settled, number, signatures)
     signatures = signatures.at(planes.knowledge)
-    label = f"rivals of {k.effects[number].name}"
+    label = f"rivals of {settled.knowledge.effects[number].name}"
     scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)
     own = next(s for s in scores if s.family is chosen[number])
     signature = _signature(planes, own, signatures)

@@ -7,6 +7,7 @@ from scipy.stats import norm
 
 from calib.diagnose import scan
 from calib.diagnose.corners import MEDIAN
+from calib.diagnose.planes import Column
 from calib.diagnose.prove import corner_noise
 from calib.diagnose.search import mount_pixels
 from rig.effects.lens_distortion import products
@@ -45,21 +46,8 @@ def unknowns(planes):
 def _struts(planes):
     k = planes.knowledge
     atoms = scan.strut_atoms(planes)
-    bases = {("pose",): _pose_basis(k), ("time",): _time_basis(k.t), ("history",): None}
-    for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
-        series = np.interp(k.t, k.sensors.t, values)
-        if np.ptp(series) > 0:
-            bases[(name,)] = _powers(series)
-    direction, lengths = _history(k), k.motion(()).lengths
-    for j in range(k.axes):
-        bases[(f"strut {j + 1}'s position",)] = np.stack([_unit(lengths[:, j]) ** n for n in (2, 3, 4)], axis=1)
-    out = []
-    for depends, basis in bases.items():
-        for i in range(k.axes):
-            functions = np.stack([direction[:, i], direction[:, i] * _unit(lengths[:, i])], axis=1) if basis is None else basis
-            weights = np.zeros((len(k.t), k.axes, functions.shape[1]))
-            weights[:, i] = functions
-            out.append(_tested(planes, atoms, weights, f"strut {i + 1}", "m", depends, atoms.gamma[:, i, i].sum()))
+    out = [_tested(planes, atoms, weights, place, "m", depends, atoms.gamma[:, i, i].sum())
+           for depends, strutwise in _strut_weights(k).items() for i, (place, weights) in enumerate(strutwise)]
     inverse = np.linalg.inv(planes.W)
     left = (inverse @ planes.struts[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
     for i in np.flatnonzero(planes.scatter > 0):
@@ -71,10 +59,58 @@ def _struts(planes):
     return out
 
 
+def _strut_weights(k):
+    """{depends on: [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut]}."""
+    bases = {("pose",): _pose_basis(k), ("time",): _time_basis(k.t), ("history",): None}
+    for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
+        series = np.interp(k.t, k.sensors.t, values)
+        if np.ptp(series) > 0:
+            bases[(name,)] = _powers(series)
+    direction, lengths = _history(k), k.motion(()).lengths
+    for j in range(k.axes):
+        bases[(f"strut {j + 1}'s position",)] = np.stack([_unit(lengths[:, j]) ** n for n in (2, 3, 4)], axis=1)
+    out = {}
+    for depends, basis in bases.items():
+        for i in range(k.axes):
+            functions = np.stack([direction[:, i], direction[:, i] * _unit(lengths[:, i])], axis=1) if basis is None else basis
+            weights = np.zeros((len(k.t), k.axes, functions.shape[1]))
+            weights[:, i] = functions
+            out.setdefault(depends, []).append((f"strut {i + 1}", weights))
+    return out
+
+
+def cover(planes, left):
+    """Column of all smooth functions of what Unknowns depend on, at all struts where it is struts and else at the cameras themselves; None
+    where nothing depends on anything."""
+    k = planes.knowledge
+    weights = _strut_weights(k) if k.axes else {}
+    named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
+    parts = [w for d in sorted(named) for _, w in weights[(d,)]]
+    struts = Column(None, planes.whitened(np.concatenate(parts, axis=2))) if parts else None
+    pixels = [_camera_pixels(planes, u) for u in left if u.place.startswith("camera") and u.depends_on]
+    if not pixels:
+        return struts
+    seen = planes.fold(np.concatenate(pixels, axis=2))
+    if struts is None:
+        return seen
+    return Column(np.column_stack([seen.image, np.zeros((len(seen.image), struts.struts.shape[1]))]), np.column_stack([seen.struts, struts.struts]))
+
+
+def _camera_pixels(planes, u):
+    """(n, 2, q) px of corners under the smooth functions that a camera's Unknown was found in."""
+    k = planes.knowledge
+    o = k.seen.observations
+    if u.depends_on == ("time",):
+        moved = mount_pixels(planes, u.place)[..., None] * _time_basis(k.t)[o.frame][:, None, None, :]
+        return moved.reshape(len(o), 2, -1)
+    i = [f"camera {c.name}" for c in k.design.cameras].index(u.place)
+    return _warped(k, i, o.camera == i, k.pixels())
+
+
 def _cameras(planes):
     k, out = planes.knowledge, []
     o = k.seen.observations
-    time, expected = _time_basis(k.t), k.pixels()  # where corners should be: where they are seen holds their noise
+    time, expected = _time_basis(k.t), k.pixels()
     for i, camera in enumerate(k.design.cameras):
         rows = o.camera == i
         if not rows.any():
@@ -87,14 +123,19 @@ def _cameras(planes):
             out.append(_tested(planes, atoms, weights, place, "px", ("time",), rows.sum() / corner_noise(planes) ** 2))
         if any(e.name == "lens_distortion" and e.place == place for e in k.effects):
             continue  # what its image still bends by belongs to the lens that was named
-        basis = products(camera, expected[rows], WARP)
-        pixels = np.zeros((len(o), 2, 2 * basis.shape[1]))
-        pixels[rows, 0, : basis.shape[1]] = basis
-        pixels[rows, 1, basis.shape[1] :] = basis
-        atoms = scan.view_atoms(planes, pixels)
-        weights = np.broadcast_to(np.eye(pixels.shape[2]), atoms.gamma.shape)
+        atoms = scan.view_atoms(planes, _warped(k, i, rows, expected))
+        weights = np.broadcast_to(np.eye(atoms.beta.shape[1]), atoms.gamma.shape)
         out.append(_tested(planes, atoms, weights, place, "px", ("image position",), rows.sum() / corner_noise(planes) ** 2))
     return out
+
+
+def _warped(k, i, rows, expected):
+    """(n, 2, q) px of corners under smooth warps of one camera's image; where corners should be, since where they are seen holds their noise."""
+    basis = products(k.design.cameras[i], expected[rows], WARP)
+    pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
+    pixels[rows, 0, : basis.shape[1]] = basis
+    pixels[rows, 1, basis.shape[1] :] = basis
+    return pixels
 
 
 def _tested(planes, atoms, weights, place, unit, depends, information):
