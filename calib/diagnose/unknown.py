@@ -14,7 +14,7 @@ from rig.effects.lens_distortion import products
 from rig.pose import difference
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing
-TIME_KNOTS = 8  # of a smooth function of time
+SLOW, FAST = 8, 24  # cosines of a smooth function of time
 WARP = 6  # degree of a smooth warp of an image
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 
@@ -47,7 +47,7 @@ def _struts(planes):
     k = planes.knowledge
     atoms = scan.strut_atoms(planes)
     out = [_tested(planes, atoms, weights, place, "m", depends, atoms.gamma[:, i, i].sum())
-           for depends, strutwise in _strut_weights(k).items() for i, (place, weights) in enumerate(strutwise)]
+           for depends, strutwise in _strut_weights(k) for i, (place, weights) in enumerate(strutwise)]
     inverse = np.linalg.inv(planes.W)
     left = (inverse @ planes.struts[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
     for i in np.flatnonzero(planes.scatter > 0):
@@ -60,22 +60,24 @@ def _struts(planes):
 
 
 def _strut_weights(k):
-    """{depends on: [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut]}."""
-    bases = {("pose",): _pose_basis(k), ("time",): _time_basis(k.t), ("history",): None}
+    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut])]."""
+    bases = [(("pose",), _pose_basis(k)), (("time",), _time_basis(k.t, SLOW)), (("time",), _time_basis(k.t, FAST)), (("history",), None)]
     for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
         series = np.interp(k.t, k.sensors.t, values)
         if np.ptp(series) > 0:
-            bases[(name,)] = _powers(series)
+            bases.append(((name,), _powers(series)))
     direction, lengths = _history(k), k.motion(()).lengths
     for j in range(k.axes):
-        bases[(f"strut {j + 1}'s position",)] = np.stack([_unit(lengths[:, j]) ** n for n in (2, 3, 4)], axis=1)
-    out = {}
-    for depends, basis in bases.items():
+        bases.append(((f"strut {j + 1}'s position",), np.stack([_unit(lengths[:, j]) ** n for n in (2, 3, 4)], axis=1)))
+    out = []
+    for depends, basis in bases:
+        strutwise = []
         for i in range(k.axes):
             functions = np.stack([direction[:, i], direction[:, i] * _unit(lengths[:, i])], axis=1) if basis is None else basis
             weights = np.zeros((len(k.t), k.axes, functions.shape[1]))
             weights[:, i] = functions
-            out.setdefault(depends, []).append((f"strut {i + 1}", weights))
+            strutwise.append((f"strut {i + 1}", weights))
+        out.append((depends, strutwise))
     return out
 
 
@@ -83,7 +85,7 @@ def cover(planes, left):
     """Column of all smooth functions of what Unknowns depend on, at all struts where it is struts and else at the cameras themselves; None
     where nothing depends on anything."""
     k = planes.knowledge
-    weights = _strut_weights(k) if k.axes else {}
+    weights = dict(_strut_weights(k)) if k.axes else {}  # of two for the same, the finer
     named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
     parts = [w for d in sorted(named) for _, w in weights[(d,)]]
     struts = Column(None, planes.whitened(np.concatenate(parts, axis=2))) if parts else None
@@ -101,7 +103,7 @@ def _camera_pixels(planes, u):
     k = planes.knowledge
     o = k.seen.observations
     if u.depends_on == ("time",):
-        moved = mount_pixels(planes, u.place)[..., None] * _time_basis(k.t)[o.frame][:, None, None, :]
+        moved = mount_pixels(planes, u.place)[..., None] * _time_basis(k.t, FAST)[o.frame][:, None, None, :]
         return moved.reshape(len(o), 2, -1)
     i = [f"camera {c.name}" for c in k.design.cameras].index(u.place)
     return _warped(k, i, o.camera == i, k.pixels())
@@ -110,7 +112,7 @@ def _camera_pixels(planes, u):
 def _cameras(planes):
     k, out = planes.knowledge, []
     o = k.seen.observations
-    time, expected = _time_basis(k.t), k.pixels()
+    expected = k.pixels()
     for i, camera in enumerate(k.design.cameras):
         rows = o.camera == i
         if not rows.any():
@@ -119,8 +121,9 @@ def _cameras(planes):
         if i not in k.moving:
             pixels = mount_pixels(planes, place)
             atoms = scan.view_atoms(planes, pixels)
-            weights = np.einsum("fk,ab->fabk", time, np.eye(6)).reshape(len(k.t), 6, -1)
-            out.append(_tested(planes, atoms, weights, place, "px", ("time",), rows.sum() / corner_noise(planes) ** 2))
+            for count in (SLOW, FAST):
+                weights = np.einsum("fk,ab->fabk", _time_basis(k.t, count), np.eye(6)).reshape(len(k.t), 6, -1)
+                out.append(_tested(planes, atoms, weights, place, "px", ("time",), rows.sum() / corner_noise(planes) ** 2))
         if any(e.name == "lens_distortion" and e.place == place for e in k.effects):
             continue  # what its image still bends by belongs to the lens that was named
         atoms = scan.view_atoms(planes, _warped(k, i, rows, expected))
@@ -166,10 +169,10 @@ def _pose_basis(k):
     return np.column_stack([x, *pairs, x**3])
 
 
-def _time_basis(t):
-    """(F, q) cosines of time, slowest first."""
+def _time_basis(t, count):
+    """(F, q) so many cosines of time, slowest first."""
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
-    return np.cos(np.pi * s[:, None] * np.arange(1, TIME_KNOTS + 1))
+    return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
 
 
 def _history(k):

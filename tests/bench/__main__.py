@@ -2,9 +2,10 @@
 
 import sys
 
-from tests.bench import absent, arms, corners, forward, lens, parameters, way
+from tests.bench import absent, arms, corners, diagnosis, forward, lens, parameters, way
 
-ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms}
+ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
+       "diagnosis": diagnosis}
 
 
 def main():
