@@ -8,7 +8,7 @@ from calib.diagnose.planes import linearise
 from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
-from calib.diagnose.unknown import cover
+from calib.diagnose.smooth import cover
 from rig.effects.base import check
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
@@ -127,14 +127,14 @@ def _confirm(settled, chosen, families, signatures, progress):
 
 def supported(selection, families, signatures, left):
     """Selection without the findings that smooth functions of what is left unexplained would explain as well: where the model is known
-    to be wrong, a name must stand on more than what those can imitate. left : [Unknown]"""
+    to be wrong, a name must stand on more than what those can imitate, and explain more than it leaves at its own place. left : [Unknown]"""
     settled, kept = selection.settled, []
     for f in selection.findings:
+        if any(u.drop > f.score.drop for u in left if u.within(f.score.family.place)):
+            continue
         planes = _beside(settled, f.number, signatures)
         smooth = cover(planes, left)
-        if smooth is None:
-            return selection
-        score = search(planes.without(smooth), [f.score.family], signatures.at(planes.knowledge))[0]
+        score = f.score if smooth is None else search(planes.without(smooth), [f.score.family], signatures.at(planes.knowledge))[0]
         if _convincing(score, len(families), planes.size):
             kept.append(f)
     if len(kept) == len(selection.findings):

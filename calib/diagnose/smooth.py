@@ -1,0 +1,150 @@
+"""Smooth functions that nobody named: of pose, time, history, speed, sensors at the struts; of time and place at cameras and markers."""
+
+import numpy as np
+
+from calib.diagnose.planes import Column
+from calib.diagnose.search import mount_pixels
+from rig.effects.lens_distortion import products
+from rig.machine import ABOUT
+from rig.pose import difference
+
+SLOW, FAST = 8, 24  # cosines of a smooth function of time
+WARP = 6  # degree of a smooth warp of an image
+
+
+def strut_weights(k):
+    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut])] of a Knowledge."""
+    F, ones = len(k.t), np.ones(k.axes)
+    bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(_cosines(k.t, SLOW), ones)), ("time", _alike(_cosines(k.t, FAST), ones))]
+    for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
+        series = np.interp(k.t, k.sensors.t, values)
+        if np.ptp(series) > 0:
+            bases.append((name, _alike(_powers(series, 2), ones)))
+    motion = k.motion(())
+    lengths, direction = motion.lengths, _direction(motion.path)
+    for j in range(k.axes):
+        bases.append((f"strut {j + 1}'s position", _alike(_powers(lengths[:, j], 4), ones)))
+    scaled = np.stack([_unit(column) for column in lengths.T], axis=1)
+    bases.append(("history", np.stack([direction, direction * scaled], axis=2)))
+    way = np.abs(np.diff(motion.path.lengths, axis=0, prepend=motion.path.lengths[:1])).cumsum(axis=0)[motion.path.at]
+    if np.ptp(way, axis=0).min(initial=np.inf) > 0:
+        bases.append(("way travelled", np.stack([_powers(column, 2) for column in way.T], axis=1)))
+    speed = _speed(k)
+    if speed.any():
+        speed /= np.abs(speed).max()
+        bases.append(("speed", np.stack([speed, speed * np.abs(speed)], axis=2)))
+    out = []
+    for depends, functions in bases:  # (F, axes, q), each strut's own
+        strutwise = []
+        for i in range(k.axes):
+            weights = np.zeros((F, k.axes, functions.shape[2]))
+            weights[:, i] = functions[:, i]
+            strutwise.append((f"strut {i + 1}", weights))
+        out.append((depends, strutwise))
+    return out
+
+
+def view_pixels(planes, place):
+    """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
+    k = planes.knowledge
+    o = k.seen.observations
+    i = [f"camera {c.name}" for c in k.design.cameras].index(place)
+    rows, out = o.camera == i, np.zeros((len(o), 2, 7))
+    out[..., :6] = mount_pixels(planes, place)
+    out[rows, :, 6] = k.pixels()[rows] - k.design.cameras[i].matrix[:2, 2]
+    return out
+
+
+def in_time(k, count):
+    """(F, 7, 7 count) of what `view_pixels` weighs: each as a sum of so many cosines of time."""
+    return np.einsum("fk,ab->fabk", _cosines(k.t, count), np.eye(7)).reshape(len(k.t), 7, -1)
+
+
+def warp_pixels(k, i):
+    """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are seen holds their noise."""
+    rows = k.seen.observations.camera == i
+    basis = products(k.design.cameras[i], k.pixels()[rows], WARP)
+    pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
+    pixels[rows, 0, : basis.shape[1]] = basis
+    pixels[rows, 1, basis.shape[1] :] = basis
+    return pixels
+
+
+def marker_pixels(k, ids):
+    """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
+    seen, quads = k.seen, k.pixels(rows=slice(None))
+    edges = np.stack([np.roll(quads, -1, axis=1) - quads, np.roll(quads, 1, axis=1) - quads], axis=-1)  # (s, 4, 2, 2)
+    corner, marker = seen.observations.corner, seen.markers.id[seen.sightings.marker][seen.row]
+    out = np.zeros((len(corner), 2, 8 * len(ids)))
+    for j, number in enumerate(ids):
+        rows = np.flatnonzero(marker == number)
+        for c in range(4):
+            at = rows[corner[rows] == c]
+            out[at, :, 8 * j + 2 * c : 8 * j + 2 * c + 2] = edges[seen.row[at], c]
+    return out
+
+
+def cover(planes, left):
+    """Column of all smooth functions of what Unknowns depend on: at all struts where it is struts, at all markers where it is one, else at the
+    cameras themselves; None where there are none."""
+    k = planes.knowledge
+    weights = dict(strut_weights(k)) if k.axes else {}  # of two for the same, the finer
+    named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
+    parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
+    struts = Column(None, planes.whitened(np.concatenate(parts, axis=2))) if parts else None
+    pixels = []
+    for u in left:
+        if u.place.startswith("camera") and u.depends_on == ("time",):
+            moved = np.einsum("nca,nak->nck", view_pixels(planes, u.place), in_time(k, FAST)[k.seen.observations.frame])
+            pixels.append(moved)
+        elif u.place.startswith("camera") and u.depends_on == ("image position",):
+            pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
+    if any(u.place.startswith("marker") for u in left):
+        pixels.append(marker_pixels(k, np.unique(k.seen.markers.id[k.seen.sightings.marker])))
+    if not pixels:
+        return struts
+    seen = planes.fold(np.concatenate(pixels, axis=2))
+    if struts is None:
+        return seen
+    return Column(np.column_stack([seen.image, np.zeros((len(seen.image), struts.struts.shape[1]))]), np.column_stack([seen.struts, struts.struts]))
+
+
+def _alike(basis, ones):
+    """(F, axes, q): the same functions (F, q) at every strut."""
+    return ones[None, :, None] * basis[:, None, :]
+
+
+def _unit(x):
+    return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
+
+
+def _powers(x, most):
+    return np.stack([_unit(x) ** n for n in range(1, most + 1)], axis=1)
+
+
+def _pose(k):
+    """(F, q) polynomials of the pose up to the second degree, and pure cubes, of what lies between it and its mean."""
+    x = difference(k.T.mean(), k.T)
+    x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)
+    pairs = [x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)]
+    return np.column_stack([x, *pairs, x**3])
+
+
+def _cosines(t, count):
+    """(F, q) so many cosines of time, slowest first."""
+    s = (t - t[0]) / max(np.ptp(t), 1e-300)
+    return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
+
+
+def _direction(path):
+    """(F, axes) -1 or 1: which way each strut last moved before the exposure, 0 where it never did."""
+    step = np.sign(np.diff(path.lengths, axis=0, prepend=path.lengths[:1]))
+    for j in range(1, len(step)):
+        step[j] = np.where(step[j] == 0, step[j - 1], step[j])
+    return step[path.at]
+
+
+def _speed(k):
+    """(F, axes) m/s of the struts at the exposures."""
+    ends = [np.stack([np.interp(k.t + s * ABOUT, k.commands.t, column) for column in k.commands.values.T], axis=1) for s in (1, -1)]
+    return (ends[0] - ends[1]) / (2 * ABOUT)
