@@ -8,7 +8,8 @@ from calib.diagnose.planes import linearise
 from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
-from calib.diagnose.smooth import cover
+from calib.diagnose.smooth import cover, covered
+from calib.diagnose.unknown import unknowns
 from rig.effects.base import check
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
@@ -18,6 +19,7 @@ COSINE = 0.99  # between signatures, freedoms taken out, from which two are the 
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
+BEYOND = 1.5  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
 
 
@@ -62,6 +64,8 @@ def select(knowledge, families, signatures, progress=None):
         scores = search(planes, families, signatures, (lambda done, of, label=label: progress(label, done, of)) if progress else None)
         convincing = [s for s in scores if _convincing(s, len(families), planes.size) and s.family not in refused]
         taken = None
+        if chosen and convincing and _beyond(planes, convincing[0]):
+            break
         for best in convincing[:TRIED]:
             trial = admit(settled, best, signatures)
             if prove(trial, {len(chosen)}, best.family.plane if knowledge.axes else "view").gain > HELD_OUT:
@@ -73,6 +77,11 @@ def select(knowledge, families, signatures, progress=None):
         settled, chosen = _prune(taken, [*chosen, best.family], signatures)
     settled, chosen, findings = _confirm(settled, chosen, families, signatures, progress)
     return Selection(settled, findings, len(families), before)
+
+
+def _beyond(planes, best):
+    """Whether something that no name explains is larger than what the best name would."""
+    return any(u.gain(planes.size) > BEYOND * best.gain(planes.size) for u in unknowns(planes))
 
 
 def _convincing(score, count, size):
@@ -132,9 +141,9 @@ def supported(selection, families, signatures, left):
     for f in selection.findings:
         if any(u.drop > f.score.drop for u in left if u.within(f.score.family.place)):
             continue
-        planes = _beside(settled, f.number, signatures)
-        smooth = cover(planes, left)
-        score = f.score if smooth is None else search(planes.without(smooth), [f.score.family], signatures.at(planes.knowledge))[0]
+        planes = _beside(settled, f.number)
+        planes = _freed(covered(planes, *cover(planes, left)), signatures)
+        score = search(planes, [f.score.family], signatures.at(planes.knowledge))[0]
         if _convincing(score, len(families), planes.size):
             kept.append(f)
     if len(kept) == len(selection.findings):
@@ -144,10 +153,13 @@ def supported(selection, families, signatures, left):
     return replace(selection, settled=settled, findings=[replace(f, number=numbers.index(f.number)) for f in kept])
 
 
-def _beside(settled, number, signatures):
-    """Planes without an admitted effect, the parameters of the others among the freedoms."""
-    k = settled.knowledge
-    planes = linearise(k.with_effects(tuple(e for i, e in enumerate(k.effects) if i != number)))
+def _beside(settled, number):
+    """Planes without an admitted effect."""
+    return linearise(settled.knowledge.with_effects(tuple(e for i, e in enumerate(settled.knowledge.effects) if i != number)))
+
+
+def _freed(planes, signatures):
+    """Planes with the parameters of the effects admitted there among the freedoms."""
     _, column = tangents(planes, signatures)
     return planes if column is None else planes.without(column)
 
@@ -167,7 +179,7 @@ def _replaced(settled, number, score, signatures):
 
 def _rivals(settled, number, chosen, families, signatures, progress):
     """(Score of a finding, [Rival] by weight) with the other findings admitted and their parameters free."""
-    planes = _beside(settled, number, signatures)
+    planes = _freed(_beside(settled, number), signatures)
     signatures = signatures.at(planes.knowledge)
     label = f"rivals of {settled.knowledge.effects[number].name}"
     scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)

@@ -1,8 +1,10 @@
 """Smooth functions that nobody named: of pose, time, history, speed, sensors at the struts; of time and place at cameras and markers."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from calib.diagnose.planes import Column
+from calib.diagnose.planes import Column, linearise
 from calib.diagnose.search import mount_pixels
 from rig.effects.lens_distortion import products
 from rig.machine import ABOUT
@@ -10,6 +12,8 @@ from rig.pose import difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
 WARP = 6  # degree of a smooth warp of an image
+ROUNDS = 3  # of freeing corners of what smooth functions explain
+SEEN = 1e-9  # of the greatest eigenvalue; functions below are left alone
 
 
 def strut_weights(k):
@@ -73,7 +77,8 @@ def warp_pixels(k, i):
 def marker_pixels(k, ids):
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
     seen, quads = k.seen, k.pixels(rows=slice(None))
-    edges = np.stack([np.roll(quads, -1, axis=1) - quads, np.roll(quads, 1, axis=1) - quads], axis=-1)  # (s, 4, 2, 2)
+    depth = _depths(quads)
+    edges = np.stack([(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1)  # (s, 4, 2, 2)
     corner, marker = seen.observations.corner, seen.markers.id[seen.sightings.marker][seen.row]
     out = np.zeros((len(corner), 2, 8 * len(ids)))
     for j, number in enumerate(ids):
@@ -84,14 +89,23 @@ def marker_pixels(k, ids):
     return out
 
 
+def _depths(quads):
+    """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert, Fundamentals of texture mapping and
+    image warping, 1989, 2.2.3"""
+    a, b = quads[:, 1] - quads[:, 2], quads[:, 3] - quads[:, 2]
+    skew = quads[:, 0] - quads[:, 1] + quads[:, 2] - quads[:, 3]
+    area = a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1]
+    g, h = (skew[:, 0] * b[:, 1] - b[:, 0] * skew[:, 1]) / area, (a[:, 0] * skew[:, 1] - skew[:, 0] * a[:, 1]) / area
+    return np.stack([np.ones(len(g)), 1 + g, 1 + g + h, 1 + h], axis=1)
+
+
 def cover(planes, left):
-    """Column of all smooth functions of what Unknowns depend on: at all struts where it is struts, at all markers where it is one, else at the
-    cameras themselves; None where there are none."""
+    """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what Unknowns depend on: at all struts where it is struts,
+    at all markers where it is one, else at the cameras themselves."""
     k = planes.knowledge
     weights = dict(strut_weights(k)) if k.axes else {}  # of two for the same, the finer
     named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
-    struts = Column(None, planes.whitened(np.concatenate(parts, axis=2))) if parts else None
     pixels = []
     for u in left:
         if u.place.startswith("camera") and u.depends_on == ("time",):
@@ -101,12 +115,23 @@ def cover(planes, left):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
     if any(u.place.startswith("marker") for u in left):
         pixels.append(marker_pixels(k, np.unique(k.seen.markers.id[k.seen.sightings.marker])))
-    if not pixels:
-        return struts
-    seen = planes.fold(np.concatenate(pixels, axis=2))
-    if struts is None:
-        return seen
-    return Column(np.column_stack([seen.image, np.zeros((len(seen.image), struts.struts.shape[1]))]), np.column_stack([seen.struts, struts.struts]))
+    return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
+
+
+def covered(planes, pixels, weights):
+    """Planes with smooth functions, as `cover` gives them, among the freedoms. Pictures are first freed of what the functions explain, so that
+    corners far off, which count for less, do not keep their misfit."""
+    if pixels is not None:
+        for _ in range(ROUNDS):
+            o = planes.knowledge.seen.observations
+            _, b, G = planes.project(planes.fold(pixels))
+            values, vectors = np.linalg.eigh(G)
+            kept = values > SEEN * values[-1]
+            moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ b) / values[kept]))
+            seen = replace(planes.knowledge.seen, observations=replace(o, uv=o.uv - moved))
+            planes = linearise(replace(planes.knowledge, seen=seen))
+        planes = planes.without(planes.fold(pixels))
+    return planes if weights is None else planes.without(Column(None, planes.whitened(weights)))
 
 
 def _alike(basis, ones):

@@ -17,7 +17,7 @@ FAR = 5.0  # standard deviations; a residual counts for no more where neighbours
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """place; magnitude : RMS of the smooth function, in unit; depends_on : names of covariates; p_value; drop"""
+    """place; magnitude : RMS of the smooth function, in unit; depends_on : names of covariates; p_value; drop; freedom : parameters fitted"""
 
     place: str
     magnitude: float
@@ -25,6 +25,11 @@ class Unknown:
     depends_on: tuple[str, ...]
     p_value: float
     drop: float
+    freedom: int
+
+    def gain(self, size):
+        """Bayesian information criterion's verdict: how much better than nothing, for residuals of a size."""
+        return self.drop - self.freedom * np.log(size)
 
     def within(self, place):
         """Whether it sits where an effect at a place does, or at a part of it."""
@@ -56,13 +61,13 @@ def _struts(planes):
     for i in range(k.axes):
         alike = float(following[1:, i] @ following[:-1, i])
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
-        out.append(Unknown(f"strut {i + 1}", float(size), "m", ("order",), float(norm.sf(alike / np.sqrt(len(k.t) - 1))), max(alike, 0.0)))
+        out.append(Unknown(f"strut {i + 1}", float(size), "m", ("order",), float(norm.sf(alike / np.sqrt(len(k.t) - 1))), max(alike, 0.0), 1))
     for i in np.flatnonzero(planes.scatter > 0):
         noise = own[:, i].mean() - planes.scatter[i] ** 2
         middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
         ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
         if ratio > 0:
-            out.append(Unknown(f"strut {i + 1}", float(planes.scatter[i]), "m", (), float(norm.sf(ratio)), float(ratio**2)))
+            out.append(Unknown(f"strut {i + 1}", float(planes.scatter[i]), "m", (), float(norm.sf(ratio)), float(ratio**2), 1))
     return out
 
 
@@ -105,7 +110,8 @@ def _following(atoms, order, place, information):
     M = np.linalg.pinv(gamma.mean(axis=0), rcond=1e-6, hermitian=True)
     alike = float(np.einsum("fa,ab,fb->", beta[1:], M, beta[:-1]))
     chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
-    return Unknown(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), float(norm.sf(alike / max(chance, 1e-300))), max(alike, 0.0))
+    p = float(norm.sf(alike / max(chance, 1e-300)))
+    return Unknown(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0), 1)
 
 
 def _tested(planes, atoms, weights, place, unit, depends, information):
@@ -116,4 +122,4 @@ def _tested(planes, atoms, weights, place, unit, depends, information):
         return None
     spread, active = scan.dispersion(planes, atoms, weights, coefficients[0])
     p = scan.davies(drop / spread, rank[0], spread, active)
-    return Unknown(place, float(np.sqrt(max(drop[0] - rank[0], 0.0) / information)), unit, depends, p, float(drop[0] / spread))
+    return Unknown(place, float(np.sqrt(max(drop[0] - rank[0], 0.0) / information)), unit, depends, p, float(drop[0] / spread), int(rank[0]))
