@@ -6,6 +6,9 @@ from rig.commands.output import SEED, Progress, fresh_folder
 from rig.errors import RigError
 
 
+FEW = 6  # numbers of a parameter that are printed; of more, how many there are
+
+
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
@@ -71,6 +74,10 @@ def _parameter(name, parameter):
     value, unit = parameter["value"], parameter["unit"]
     if not isinstance(value, float):
         numbers = value and isinstance(value[0], float)
+        if numbers and len(value) <= FEW:
+            pairs = zip(value, zip(*parameter["ci95"])) if "ci95" in parameter else ((v, None) for v in value)
+            shown = " ".join(f"{v:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") for v, ends in pairs)
+            return f"{name} {shown} {parameter['unit']}"
         return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
     low, high = parameter.get("ci95", (None, None))
     return f"{name} {value:.4g} {unit}" + (f" ({low:.4g} to {high:.4g})" if low is not None else "")
