@@ -12,6 +12,7 @@ from calib.diagnose.knowledge import within_reach
 from calib.diagnose.prove import Proof, corner_noise, overall, prove
 from calib.diagnose.select import Selection, select, supported
 from calib.diagnose.unknown import unknowns
+from calib.diagnose.unlogged import unlogged
 from rig.effects import BY_NAME
 from rig.effects.parse import to_dict as effect_dict
 from rig.pose import vector
@@ -57,9 +58,10 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     signatures = Signatures(knowledge)
     selection = select(knowledge, asked, signatures, progress)
     left = unknowns(_bare(selection.settled))
-    if left and selection.findings:
-        selection = supported(selection, asked, signatures, left)
-        left = unknowns(_bare(selection.settled))
+    kept = supported(selection, asked, signatures, left)
+    if kept is not selection:
+        selection, left = kept, unknowns(_bare(kept.settled))
+    selection = unlogged(selection, asked, signatures)
     plane = "struts" if knowledge.axes else "view"
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:

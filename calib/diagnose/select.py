@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.planes import linearise
+from calib.diagnose.planes import Column, linearise
 from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
@@ -19,6 +19,7 @@ COSINE = 0.99  # between signatures, freedoms taken out, from which two are the 
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
+BEATEN = 0.02  # of what a finding explains; a smooth function without a name must do better by as much to beat it
 BEYOND = 1.5  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
 
@@ -62,11 +63,11 @@ def select(knowledge, families, signatures, progress=None):
         planes = settled.planes if settled.column is None else settled.planes.without(settled.column)
         signatures = signatures.at(settled.knowledge)
         scores = search(planes, families, signatures, (lambda done, of, label=label: progress(label, done, of)) if progress else None)
-        convincing = [s for s in scores if _convincing(s, len(families), planes.size) and s.family not in refused]
+        promising = [s for s in scores if convincing(s, len(families), planes.size) and s.family not in refused]
         taken = None
-        if chosen and convincing and _beyond(planes, convincing[0]):
+        if chosen and promising and _beyond(planes, promising[0]):
             break
-        for best in convincing[:TRIED]:
+        for best in promising[:TRIED]:
             trial = admit(settled, best, signatures)
             if prove(trial, {len(chosen)}, best.family.plane if knowledge.axes else "view").gain > HELD_OUT:
                 taken = trial
@@ -84,7 +85,7 @@ def _beyond(planes, best):
     return any(u.gain(planes.size) > BEYOND * best.gain(planes.size) for u in unknowns(planes))
 
 
-def _convincing(score, count, size):
+def convincing(score, count, size):
     """Whether a Score is a finding: too good for chance over all families, worth its parameters, and physically possible."""
     if score.p_value * count > ALPHA or score.gain(size) < GAIN:
         return False
@@ -121,10 +122,10 @@ def _confirm(settled, chosen, families, signatures, progress):
         if number == len(chosen):
             break
         score, rivals = _rivals(settled, number, chosen, families, signatures, progress)
-        if not _convincing(score, len(families), settled.planes.size):  # beside all others it is none
+        if not convincing(score, len(families), settled.planes.size):  # beside all others it is none
             settled, chosen, number, findings = _left_out(settled, number, signatures), chosen[:number] + chosen[number + 1 :], 0, []
             continue
-        better = rivals and rivals[0].behind < -1.0 and _convincing(rivals[0].score, len(families), settled.planes.size)
+        better = rivals and rivals[0].behind < -1.0 and convincing(rivals[0].score, len(families), settled.planes.size)
         replaced = _replaced(settled, number, rivals[0].score, signatures) if better else None
         if replaced is not None:
             settled, chosen[number], number, findings = replaced, rivals[0].score.family, 0, []
@@ -135,17 +136,24 @@ def _confirm(settled, chosen, families, signatures, progress):
 
 
 def supported(selection, families, signatures, left):
-    """Selection without the findings that smooth functions of what is left unexplained would explain as well: where the model is known
-    to be wrong, a name must stand on more than what those can imitate, and explain more than it leaves at its own place. left : [Unknown]"""
+    """Selection without findings whose name does not stand: which a smooth function that nobody named beats at the same place; and, where
+    something is left unexplained, which smooth functions of the same would explain as well, or which explain less than they leave at
+    their place. left : [Unknown]"""
     settled, kept = selection.settled, []
     for f in selection.findings:
-        if any(u.drop > f.score.drop for u in left if u.within(f.score.family.place)):
+        planes = beside(settled, f.number)
+        alone, place = freed(planes, signatures), f.score.family.place
+        own = explained(settled, f.number, alone)
+        gains = [u.drop * u.dispersion - u.freedom * np.log(planes.size) for u in unknowns(alone) if u.dispersion and u.within(place)]
+        if max(gains, default=0.0) > own - f.score.freedom * np.log(planes.size) + max(ALIKE, BEATEN * own):
             continue
-        planes = _beside(settled, f.number)
-        planes = _freed(covered(planes, *cover(planes, left)), signatures)
-        score = search(planes, [f.score.family], signatures.at(planes.knowledge))[0]
-        if _convincing(score, len(families), planes.size):
-            kept.append(f)
+        if left:
+            if any(u.drop > f.score.drop for u in left if u.within(place)):
+                continue
+            planes = freed(covered(planes, *cover(planes, left)), signatures)
+            if not convincing(search(planes, [f.score.family], signatures.at(planes.knowledge))[0], len(families), planes.size):
+                continue
+        kept.append(f)
     if len(kept) == len(selection.findings):
         return selection
     numbers = sorted(f.number for f in kept)
@@ -153,12 +161,22 @@ def supported(selection, families, signatures, left):
     return replace(selection, settled=settled, findings=[replace(f, number=numbers.index(f.number)) for f in kept])
 
 
-def _beside(settled, number):
+def explained(settled, number, alone):
+    """Drop in the whitened sum of squares that an admitted effect as settled, its size left free, brings to Planes without it."""
+    k, effect = alone.knowledge, settled.knowledge.effects[number]
+    both = (*k.effects, effect)
+    struts = alone.nothing(1) if not k.axes else alone.whitened((k.effective(both) - k.effective())[..., None])
+    seen = Column(None, struts) if k.seen is None else alone.fold((k.pixels(both) - k.pixels())[..., None])
+    _, b, G = alone.project(Column(seen.image, struts + seen.struts if seen.image is not None else struts))
+    return float(b[0] ** 2 / max(G[0, 0], 1e-300))
+
+
+def beside(settled, number):
     """Planes without an admitted effect."""
     return linearise(settled.knowledge.with_effects(tuple(e for i, e in enumerate(settled.knowledge.effects) if i != number)))
 
 
-def _freed(planes, signatures):
+def freed(planes, signatures):
     """Planes with the parameters of the effects admitted there among the freedoms."""
     _, column = tangents(planes, signatures)
     return planes if column is None else planes.without(column)
@@ -179,7 +197,7 @@ def _replaced(settled, number, score, signatures):
 
 def _rivals(settled, number, chosen, families, signatures, progress):
     """(Score of a finding, [Rival] by weight) with the other findings admitted and their parameters free."""
-    planes = _freed(_beside(settled, number), signatures)
+    planes = freed(beside(settled, number), signatures)
     signatures = signatures.at(planes.knowledge)
     label = f"rivals of {settled.knowledge.effects[number].name}"
     scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)

@@ -19,7 +19,7 @@ SEEN = 1e-9  # of the greatest eigenvalue; functions below are left alone
 def strut_weights(k):
     """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut])] of a Knowledge."""
     F, ones = len(k.t), np.ones(k.axes)
-    bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(_cosines(k.t, SLOW), ones)), ("time", _alike(_cosines(k.t, FAST), ones))]
+    bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(cosines(k.t, SLOW), ones)), ("time", _alike(cosines(k.t, FAST), ones))]
     for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
         series = np.interp(k.t, k.sensors.t, values)
         if np.ptp(series) > 0:
@@ -61,7 +61,7 @@ def view_pixels(planes, place):
 
 def in_time(k, count):
     """(F, 7, 7 count) of what `view_pixels` weighs: each as a sum of so many cosines of time."""
-    return np.einsum("fk,ab->fabk", _cosines(k.t, count), np.eye(7)).reshape(len(k.t), 7, -1)
+    return np.einsum("fk,ab->fabk", cosines(k.t, count), np.eye(7)).reshape(len(k.t), 7, -1)
 
 
 def warp_pixels(k, i):
@@ -155,7 +155,7 @@ def _pose(k):
     return np.column_stack([x, *pairs, x**3])
 
 
-def _cosines(t, count):
+def cosines(t, count):
     """(F, q) so many cosines of time, slowest first."""
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))

@@ -17,7 +17,8 @@ FAR = 5.0  # standard deviations; a residual counts for no more where neighbours
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """place; magnitude : RMS of the smooth function, in unit; depends_on : names of covariates; p_value; drop; freedom : parameters fitted"""
+    """place; magnitude : RMS of the smooth function, in unit; depends_on : names of covariates; p_value; drop; freedom : parameters fitted
+    dispersion : that drop was divided by, None for what is no function that was fitted"""
 
     place: str
     magnitude: float
@@ -26,6 +27,7 @@ class Unknown:
     p_value: float
     drop: float
     freedom: int
+    dispersion: float | None = None
 
     def gain(self, size):
         """Bayesian information criterion's verdict: how much better than nothing, for residuals of a size."""
@@ -44,9 +46,8 @@ def unknowns(planes):
         out += _struts(planes)
     if k.seen is not None:
         out += _cameras(planes) + _markers(planes)
-    count = max(len(out), 1)
-    found = [u for u in out if u is not None and u.p_value * count < ALPHA]
-    return sorted(found, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.drop))
+    out = [u for u in out if u is not None]
+    return sorted((u for u in out if u.p_value * len(out) < ALPHA), key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.drop))
 
 
 def _struts(planes):
@@ -122,4 +123,4 @@ def _tested(planes, atoms, weights, place, unit, depends, information):
         return None
     spread, active = scan.dispersion(planes, atoms, weights, coefficients[0])
     p = scan.davies(drop / spread, rank[0], spread, active)
-    return Unknown(place, float(np.sqrt(max(drop[0] - rank[0], 0.0) / information)), unit, depends, p, float(drop[0] / spread), int(rank[0]))
+    return Unknown(place, float(np.sqrt(max(drop[0] - rank[0], 0.0) / information)), unit, depends, p, float(drop[0] / spread), int(rank[0]), spread)
