@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.diagnose.joints import Term, columns
 from calib.diagnose.scan import Score, davies
+from calib.diagnose.sinusoids import sums
 
 CHUNK = 96  # shapes at a time
 CLUSTER = 5  # poses in a row whose errors may be alike
@@ -52,16 +53,16 @@ def scan(fit, families, progress=None):
 
 
 def _score(fit, basis, family, atom):
-    drops, sizes, ranks = _drops(fit, family, atom, family.shapes)
+    drops, sizes, ranks = drops_of(fit, family, atom)
     gains = drops - ranks * np.log(fit.size)
     best = int(np.argmax(gains))
     shape = family.shapes[best]
-    if family.name == "cyclic_error" and len(family.shapes) > 1:
-        step = family.shapes[1]["order"] - family.shapes[0]["order"]
+    if family.step:
+        step = family.step
         for _ in range(REFINE):
             step /= 2
             near = [{"order": max(shape["order"] + d * step, 0.05)} for d in (-1, 0, 1)]
-            found, coefficients, rank = _drops(fit, family, atom, near)
+            found, coefficients, _ = _each(fit, family, atom, near)
             i = int(np.argmax(found))
             shape, top, size = near[i], found[i], coefficients[i]
         if top > drops[best]:
@@ -70,26 +71,58 @@ def _score(fit, basis, family, atom):
     coefficients, rank = sizes[best], ranks[best]
     if drops[best] <= 0:
         return None
-    spread = dispersion(fit, basis, family, shape, coefficients)
+    worth = drops[best] - (np.ceil(rank) + family.extra) * np.log(fit.size) > 0  # dispersion only ever lessens what is nothing already
+    spread = dispersion(fit, basis, family, shape, coefficients) if worth else 1.0
     same = ranks == rank
     p = davies(drops[same] / spread, max(round(rank), 1), spread, int(fit.used.sum()))
     p = min(1.0, p * len(np.unique(ranks)))
     return Score(family, shape, coefficients, drops[best] / spread, p, int(np.ceil(rank)) + family.extra, spread, 1.0, drops)
 
 
-def _drops(fit, family, atom, shapes):
+def drops_of(fit, family, atom):
     """(drops (s,), coefficients [s], numbers that the data determine (s,)) of a family's shapes."""
+    if family.step:
+        return _solved(family, *_orders(family, fit.arms.q[fit.used, family.joint], atom))
+    if family.name == "missed_steps":
+        return _solved(family, *_steps(family, fit.arms.t[fit.used], atom))
+    return _each(fit, family, atom, family.shapes)
+
+
+def _each(fit, family, atom, shapes):
     drops, sizes, ranks = [], [], []
     for start in range(0, len(shapes), CHUNK):
         part = [family.weights(shape)[fit.used] for shape in shapes[start : start + CHUNK]]
         even = len({w.shape[1] for w in part}) == 1
         for w in [np.stack(part)] if even else [w[None] for w in part]:
-            b, G = normal(atom, w)
-            size = np.linalg.solve(G + np.eye(b.shape[1]) / family.prior**2, np.concatenate([b[..., None], G], axis=2))
-            drops.append((b * size[..., 0]).sum(axis=1))
-            sizes += list(size[..., 0])
-            ranks.append(np.einsum("sqq->s", size[..., 1:]))
-    return np.concatenate(drops), sizes, np.round(np.concatenate(ranks), 1)
+            drop, size, rank = _solved(family, *normal(atom, w))
+            drops.append(drop)
+            sizes += size
+            ranks.append(rank)
+    return np.concatenate(drops), sizes, np.concatenate(ranks)
+
+
+def _solved(family, b, G):
+    size = np.linalg.solve(G + np.eye(b.shape[1]) / family.prior**2, np.concatenate([b[..., None], G], axis=2))
+    return (b * size[..., 0]).sum(axis=1), list(size[..., 0]), np.round(np.einsum("sqq->s", size[..., 1:]), 1)
+
+
+def _orders(family, q, atom):
+    """(b (s, 2), G (s, 2, 2)) of sine and cosine at every order of a family, evenly stepped from order one's `first` step on."""
+    first, count = round(family.shapes[0]["order"] / family.step), len(family.shapes)
+    table = sums(q, np.column_stack([atom.beta, atom.kappa]), family.step, first, count)
+    table = np.stack([table.imag, table.real], axis=1)  # (s, 2, 1 + p)
+    twice = sums(q, atom.gamma[:, None], 2 * family.step, first, count)[:, 0]
+    whole, K = atom.gamma.sum(), table[:, :, 1:]
+    G = np.stack([whole - twice.real, twice.imag, twice.imag, whole + twice.real], axis=1).reshape(-1, 2, 2) / 2
+    return table[:, :, 0], G - K @ np.swapaxes(K, 1, 2)
+
+
+def _steps(family, t, atom):
+    """(b (s, 1), G (s, 1, 1)) of a step at each of a family's times."""
+    at = np.searchsorted(t, [shape["time"] for shape in family.shapes])
+    b, gamma, kappa = (np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros((1, *part.shape[1:]))])[at]
+                       for part in (atom.beta, atom.gamma, atom.kappa))
+    return b[:, None], (gamma - (kappa**2).sum(axis=1))[:, None, None]
 
 
 def signature(fit, basis, family, shape):

@@ -22,6 +22,7 @@ QUICK = 2  # times of weighing anew while the search goes on
 MOST = 24  # effects at once
 SIGNED = ("backlash", "hysteresis", "joint_clearance", "creep")  # sizes that physics lets be positive alone
 OWN = ("scale_error", "cyclic_error", "transmission_error")  # what depends on a joint's own angle alone, simple before general
+ONCE = ("scale_error", "transmission_error", "compliance")  # at a joint; a second one would be the first
 CYCLES = 2  # sinusoids that a profile is tried to be made of
 
 
@@ -48,17 +49,23 @@ class Finding:
 
 
 def select(arms, families, train=None, progress=None):
-    """Fit with the terms that poses of a mask train (n,) call for. progress : called with (label, done, of), or None"""
+    """Fit with the terms that poses of a mask train (n,) call for. progress : called with (label, done, of), or None
+
+    Each step admits the best hypothesis and, beside it, what other joints show nearly as strongly, each asked again with the ones
+    before it admitted; all is then weighed anew.
+    """
     now = fit(arms, (), train)
     tried = set()
-    for _ in range(MOST):
-        scores = joint_scan.scan(now, families, _labelled(progress, f"searching beside {len(now.terms)} effects"))
+    while len(now.terms) < MOST:
+        has = {(t.family.name, t.family.joint) for t in now.terms if t.family.name in ONCE}
+        scores = joint_scan.scan(now, [f for f in families if (f.name, f.joint) not in has],
+                                 _labelled(progress, f"searching beside {len(now.terms)} effects"))
         scores = [s for s in scores if convincing(s, len(families), now.size) and _key(s) not in tried]
-        if not scores or len(now.terms) >= MOST:
+        if not scores:
             break
         top, joints = scores[0].raw_gain(now.size), set()
         for score in scores:
-            if score.family.joint in joints or score.raw_gain(now.size) < BESIDE * top:
+            if score.family.joint in joints or score.raw_gain(now.size) < BESIDE * top or len(now.terms) >= MOST:
                 continue
             joints.add(score.family.joint)
             one = joint_scan.term(score)
@@ -82,12 +89,11 @@ def convincing(score, count, size):
 
 def findings(now, families, progress=None):
     """[Finding] of a Fit's terms, the weightiest first, each held against all families with the others admitted."""
-    out, arms = [], now.arms
+    out = []
     squares = _held(now)
     with_all = squares(())
     for number, one in enumerate(now.terms):
-        rest = tuple(t for i, t in enumerate(now.terms) if i != number)
-        without = fit(arms, rest, now.used, now.scatter, rounds=1)
+        without = now.without([number])
         scores = joint_scan.scan(without, families, _labelled(progress, f"rivals of {one.family.name} {number + 1}"))
         own = joint_scan.scan(without, [_only(one)])[0]
         basis = without.basis()
@@ -144,44 +150,40 @@ def _gathered(now, families, train):
     for family in [f for f in families if f.name == "transmission_error"]:
         finest = max(shape["knots"] for shape in family.shapes)
         reach = np.pi * (finest - 1) / max(family.shapes[0]["high"] - family.shapes[0]["low"], 1e-9)  # orders that its knots can follow
-        cycles = [t for t in now.terms if t.family.joint == family.joint and t.family.name in OWN and t.shape.get("order", 0) < reach]
+        cycles = [i for i, t in enumerate(now.terms) if t.family.joint == family.joint and t.family.name in OWN and t.shape.get("order", 0) < reach]
         if len(cycles) <= CYCLES:
             continue
-        rest = tuple(t for t in now.terms if all(t is not c for c in cycles))
-        trials = [fit(now.arms, (*rest, joint_scan.shaped(family, shape)), now.used, now.scatter, rounds=1) for shape in family.shapes]
-        best = min(trials, key=_criterion)
-        if _criterion(best) < _criterion(fit(now.arms, now.terms, now.used, now.scatter, rounds=1)) + GAIN * len(cycles):
-            now = fit(now.arms, best.terms, train, now.scatter, rounds=QUICK)
+        rest = now.without(cycles)
+        best = joint_scan.scan(rest, [family])
+        if best and best[0].raw_gain(now.size) > _criterion(rest) - _criterion(now) - GAIN * len(cycles):
+            now = fit(now.arms, (*rest.terms, joint_scan.term(best[0])), train, now.scatter, rounds=QUICK)
     return now
 
 
 def _simplified(now, families, train):
     """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; knots made as few as will do."""
     for one in [t for t in now.terms if t.family.name == "transmission_error"]:
-        joint = one.family.joint
-        own = [f for f in families if f.joint == joint and f.name in ("scale_error", "cyclic_error")]
-        rest = tuple(t for t in now.terms if t is not one)
-        trials = [(*rest, joint_scan.reshaped(one, **shape)) for shape in one.family.shapes if shape["knots"] != one.shape["knots"]]
-        simple = rest
+        rest = now.without([i for i, t in enumerate(now.terms) if t is one])
+        own = [f for f in families if f.joint == one.family.joint and f.name in ("scale_error", "cyclic_error")]
+        trials = [(s.raw_gain(now.size), (joint_scan.term(s),)) for s in joint_scan.scan(rest, [one.family])]
+        simple, worth, here = (), 0.0, rest
         for _ in range(CYCLES + 1):
-            scores = joint_scan.scan(fit(now.arms, simple, now.used, now.scatter, rounds=1), own) if own else []
+            scores = joint_scan.scan(here, own) if own else []
             if not scores:
                 break
-            simple = (*simple, joint_scan.term(scores[0]))
-            trials.append(simple)
-        bare = [(_criterion(fit(now.arms, trial, now.used, now.scatter, rounds=1)), trial) for trial in trials]
-        best = min(bare, key=lambda pair: pair[0], default=(np.inf, None))
-        if best[0] < _criterion(fit(now.arms, now.terms, now.used, now.scatter, rounds=1)):
-            now = fit(now.arms, best[1], train, now.scatter, rounds=QUICK)
+            simple, worth = (*simple, joint_scan.term(scores[0])), worth + scores[0].raw_gain(now.size)
+            trials.append((worth, simple))
+            here = fit(now.arms, (*rest.terms, *simple), now.used, now.scatter, rounds=1)
+        worth, best = max(trials, key=lambda pair: pair[0], default=(-np.inf, None))
+        if worth > _criterion(rest) - _criterion(now) and (len(best) > 1 or best[0].shape != one.shape):
+            now = fit(now.arms, (*rest.terms, *best), train, now.scatter, rounds=QUICK)
     return _pruned(now, train)
 
 
 def _criterion(now):
     """Bayesian information criterion of a Fit with its weights as they are."""
-    count = 0.0
-    for number, one in enumerate(now.terms):
-        count += len(one.prior) - np.trace(now.covariance(number) / one.prior**2) + one.family.extra
-    return float((now.y[now.used] ** 2).sum()) + count * np.log(now.size)
+    count = sum(len(one.prior) - np.trace(now.covariance(number) / one.prior**2) + one.family.extra for number, one in enumerate(now.terms))
+    return now.cost() + count * np.log(now.size)
 
 
 def _paying(now, train):
