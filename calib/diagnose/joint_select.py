@@ -73,7 +73,7 @@ def select(arms, families, train=None, progress=None):
             if again and convincing(again[0], len(families), now.size):
                 tried.add(_key(score))
                 now = fit(arms, (*now.terms, one), train, now.scatter, rounds=QUICK)
-        now = _pruned(now, train)
+        now = _pruned(_refined(now, train), train)
     now = _paying(_simplified(_gathered(now, families, train), families, train), train)
     return fit(arms, now.terms, train, now.scatter)
 
@@ -155,29 +155,41 @@ def _gathered(now, families, train):
             continue
         rest = now.without(cycles)
         best = joint_scan.scan(rest, [family])
-        if best and best[0].raw_gain(now.size) > _criterion(rest) - _criterion(now) - GAIN * len(cycles):
-            now = fit(now.arms, (*rest.terms, joint_scan.term(best[0])), train, now.scatter, rounds=QUICK)
+        trial = rest.beside([joint_scan.term(best[0])]) if best else rest
+        if _criterion(trial) < _criterion(now) + GAIN * len(cycles):
+            now = fit(now.arms, trial.terms, train, now.scatter, rounds=QUICK)
     return now
 
 
-def _simplified(now, families, train):
-    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; knots made as few as will do."""
+def _refined(now, train):
+    """Profiles with as many knots as pay now that others are admitted."""
     for one in [t for t in now.terms if t.family.name == "transmission_error"]:
-        rest = now.without([i for i, t in enumerate(now.terms) if t is one])
+        rest = now.without(_numbers(now, [one]))
+        best = joint_scan.scan(rest, [one.family])
+        if best and best[0].shape != one.shape:
+            trial = rest.beside([joint_scan.term(best[0])])
+            now = trial if _criterion(trial) < _criterion(now) else now
+    return fit(now.arms, now.terms, train, now.scatter, rounds=QUICK)
+
+
+def _simplified(now, families, train):
+    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these."""
+    for one in [t for t in now.terms if t.family.name == "transmission_error"]:
+        here = now.without(_numbers(now, [one]))
         own = [f for f in families if f.joint == one.family.joint and f.name in ("scale_error", "cyclic_error")]
-        trials = [(s.raw_gain(now.size), (joint_scan.term(s),)) for s in joint_scan.scan(rest, [one.family])]
-        simple, worth, here = (), 0.0, rest
-        for _ in range(CYCLES + 1):
-            scores = joint_scan.scan(here, own) if own else []
+        for _ in range(CYCLES if own else 0):
+            scores = joint_scan.scan(here, own)
             if not scores:
                 break
-            simple, worth = (*simple, joint_scan.term(scores[0])), worth + scores[0].raw_gain(now.size)
-            trials.append((worth, simple))
-            here = fit(now.arms, (*rest.terms, *simple), now.used, now.scatter, rounds=1)
-        worth, best = max(trials, key=lambda pair: pair[0], default=(-np.inf, None))
-        if worth > _criterion(rest) - _criterion(now) and (len(best) > 1 or best[0].shape != one.shape):
-            now = fit(now.arms, (*rest.terms, *best), train, now.scatter, rounds=QUICK)
+            here = here.beside([joint_scan.term(scores[0])])
+            if _criterion(here) < _criterion(now):
+                now = fit(now.arms, here.terms, train, now.scatter, rounds=QUICK)
+                break
     return _pruned(now, train)
+
+
+def _numbers(now, terms):
+    return [i for i, t in enumerate(now.terms) if any(t is one for one in terms)]
 
 
 def _criterion(now):

@@ -111,12 +111,23 @@ class Fit:
         keep = np.ones(self.X.shape[2], bool)
         for number in numbers:
             keep[self.slices[number]] = False
+        terms = tuple(term for i, term in enumerate(self.terms) if i not in numbers)
+        return self._solved(terms, self.X[..., keep], (self.half.T @ self.half)[np.ix_(keep, keep)])
+
+    def beside(self, terms):
+        """The Fit with more terms, weights and poses as they are."""
+        more = np.concatenate([self.W @ term.columns(self.arms) for term in terms], axis=2)
+        flat, old = more[self.used].reshape(-1, more.shape[2]), self.X[self.used].reshape(-1, self.X.shape[2])
+        cross, own = old.T @ flat, flat.T @ flat
+        own[np.diag_indices_from(own)] += np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
+        H = np.block([[self.half.T @ self.half, cross], [cross.T, own]])
+        return self._solved((*self.terms, *terms), np.concatenate([self.X, more], axis=2), H)
+
+    def _solved(self, terms, X, H):
         target = (self.W @ self.arms.left[..., None])[..., 0]
-        H, X = (self.half.T @ self.half)[np.ix_(keep, keep)], self.X[..., keep]
         factor = cho_factor(H)
         theta = cho_solve(factor, X[self.used].reshape(-1, X.shape[2]).T @ target[self.used].ravel())
         y = target - X @ theta
-        terms = tuple(term for i, term in enumerate(self.terms) if i not in numbers)
         return replace(self, terms=terms, X=X, half=np.triu(factor[0]), theta=theta, left=np.linalg.solve(self.W, y[..., None])[..., 0], y=y,
                        slices=_slices(self.arms, terms))
 
