@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from calib.diagnose.joint_scan import reshaped
 from calib.diagnose.result import SCHEMA, _places, experiment
@@ -103,12 +104,12 @@ def _cycle(d, finding, theta):
     order, small = one.shape["order"], 1e-4
     slope = (reshaped(one, order=order + small).weights - reshaped(one, order=order - small).weights) @ theta / (2 * small)
     used = fit.used
-    direction = d.arms.joints[used][..., one.family.joint] * slope[used][:, None]
-    u = (fit.W[used] @ direction[..., None]).ravel()
-    basis = fit.basis().reshape(len(u), -1)
-    rest = u - basis @ (basis.T @ u)
-    variance = finding.score.dispersion / max(rest @ rest, 1e-300)
-    inverse = np.linalg.solve(fit.half, basis.T @ u)[fit.slices[number]]  # how the sizes lean with the order
+    direction = d.arms.joints[..., one.family.joint] * slope[:, None]
+    u = (fit.W @ direction[..., None])[..., 0][used]
+    leaning = cho_solve((fit.half, False), fit.X[used].reshape(u.size, -1).T @ u.ravel())
+    rest = u - (fit.X @ leaning)[used]
+    variance = finding.score.dispersion / max((rest**2).sum(), 1e-300)
+    inverse = leaning[fit.slices[number]]  # how the sizes lean with the order
     covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
     amplitude = float(np.hypot(*theta))
     along = theta / max(amplitude, 1e-300)

@@ -29,7 +29,7 @@ CREEPS = np.geomspace(1.0, 1000.0, 7)  # s
 EDGE = 8  # poses that a step needs on either side
 STRIDE = 4  # poses between the moments at which a step is looked for
 FAINT = 5e-3  # of a load's column, m/s^2 m; a smaller one bends nothing
-RANK = 1e-3  # of the greatest column; what a column has beyond the earlier ones must be more
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 USUAL = {"scale_error": 2e-3, "cyclic_error": 5e-4, "transmission_error": 5e-4, "backlash": 1e-3, "hysteresis": 1e-2, "compliance": 1e-3,
          "joint_clearance": 1e-3, "warm_up": 1e-3, "missed_steps": 2e-3, "creep": 1e-2, "thermal_expansion": 1e-4}  # prior sizes
 REST = "poses are taken at rest"

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnose import joint_scan
 from calib.diagnose.joints import Fit, fit, stretches
@@ -16,6 +16,7 @@ FOLDS = 5
 STRETCHES = 30
 ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
 COSINE = 0.99  # between signatures, from which two are the same
+AKIN = 0.5  # between signatures, below which two are different effects and not rivals, whatever each explains
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 BESIDE = 0.4  # of the greatest gain; another joint's effect with so much is admitted in the same step
 QUICK = 2  # times of weighing anew while the search goes on
@@ -59,7 +60,7 @@ def select(arms, families, train=None, progress=None):
     while len(now.terms) < MOST:
         has = {(t.family.name, t.family.joint) for t in now.terms if t.family.name in ONCE}
         scores = joint_scan.scan(now, [f for f in families if (f.name, f.joint) not in has],
-                                 _labelled(progress, f"searching beside {len(now.terms)} effects"))
+                                 _labelled(progress, f"searching beside {len(now.terms)} effects"), GAIN)
         scores = [s for s in scores if convincing(s, len(families), now.size) and _key(s) not in tried]
         if not scores:
             break
@@ -72,10 +73,10 @@ def select(arms, families, train=None, progress=None):
             again = [score] if len(joints) == 1 else joint_scan.scan(now, [_only(one)])
             if again and convincing(again[0], len(families), now.size):
                 tried.add(_key(score))
-                now = fit(arms, (*now.terms, one), train, now.scatter, rounds=QUICK)
+                now = now.beside([one])
         now = _pruned(_refined(now, train), train)
-    now = _paying(_simplified(_gathered(now, families, train), families, train), train)
-    return fit(arms, now.terms, train, now.scatter)
+    now = _simplified(_gathered(now, families, train), families, train)
+    return _paying(fit(arms, now.terms, train, now.scatter), train)
 
 
 def _labelled(progress, label):
@@ -94,11 +95,11 @@ def findings(now, families, progress=None):
     with_all = squares(())
     for number, one in enumerate(now.terms):
         without = now.without([number])
-        scores = joint_scan.scan(without, families, _labelled(progress, f"rivals of {one.family.name} {number + 1}"))
-        own = joint_scan.scan(without, [_only(one)])[0]
-        basis = without.basis()
-        mine = (joint_scan.signature(without, basis, one.family, one.shape) @ own.coefficients).ravel()
-        rivals = [r for r in (_rival(without, basis, own, mine, s, one) for s in scores) if r is not None]
+        own = joint_scan.scan(without, [_only(one)], least=-np.inf)[0]
+        least = own.raw_gain(now.size) - max(2 * ALIKE, NEAR * own.drop * own.dispersion)
+        scores = joint_scan.scan(without, families, _labelled(progress, f"rivals of {one.family.name} {number + 1}"), max(least, 0.0))
+        mine = _signature(without, own)
+        rivals = [r for r in (_rival(without, own, mine, s, one) for s in scores) if r is not None]
         held = squares((number,))
         gain = _gain(held[0] - with_all[0])
         out.append(Finding(number, own, sorted(rivals, key=lambda r: r.behind), gain, held[1], with_all[1]))
@@ -111,17 +112,22 @@ def _only(one):
     return type(family)(family.name, family.joint, [one.shape], family.weights, family.prior, family.extra)
 
 
-def _rival(without, basis, own, mine, score, one):
+def _signature(without, score):
+    return joint_scan.signature(without, joint_scan.atoms(without, score.family.joint), score.family, score.shape, score.coefficients).ravel()
+
+
+def _rival(without, own, mine, score, one):
     if score.family.name == one.family.name and score.family.joint == one.family.joint:
         return None
     behind = own.raw_gain(without.size) - score.raw_gain(without.size)
-    if behind > max(2 * ALIKE, NEAR * own.drop * own.dispersion) or score.p_value > 1e-4:
+    if score.p_value > 1e-4:
         return None
     if score.family.name in SIGNED and score.coefficients[0] <= 0:
         return None
-    other = (joint_scan.signature(without, basis, score.family, score.shape) @ score.coefficients).ravel()
+    other = _signature(without, score)
     cosine = float(mine @ other / np.sqrt(max((mine @ mine) * (other @ other), 1e-300)))
-    return Rival(score, behind, cosine) if behind < ALIKE or abs(cosine) > COSINE else None
+    same = abs(cosine) > COSINE or (behind < ALIKE and abs(cosine) > AKIN)
+    return Rival(score, behind, cosine) if same else None
 
 
 def _key(score):
@@ -131,7 +137,7 @@ def _key(score):
 def _pruned(now, train):
     """The fit without terms that the others have made needless."""
     while now.terms:
-        gains, inverse = [], solve_triangular(now.half, np.eye(len(now.half)), lower=False)
+        gains, inverse = [], now.inverse()
         for number, one in enumerate(now.terms):
             theta, covariance = now.theta[now.slices[number]], inverse[now.slices[number]] @ inverse[now.slices[number]].T
             known = len(theta) - np.trace(covariance / one.prior**2)
@@ -162,7 +168,7 @@ def _gathered(now, families, train):
 
 
 def _refined(now, train):
-    """Profiles with as many knots as pay now that others are admitted."""
+    """Profiles with as many knots as pay now that others are admitted; all is weighed anew."""
     for one in [t for t in now.terms if t.family.name == "transmission_error"]:
         rest = now.without(_numbers(now, [one]))
         best = joint_scan.scan(rest, [one.family])
@@ -175,14 +181,14 @@ def _refined(now, train):
 def _simplified(now, families, train):
     """Profiles in place of which one scale or a few sinusoids do as well, replaced by these."""
     for one in [t for t in now.terms if t.family.name == "transmission_error"]:
-        here = now.without(_numbers(now, [one]))
+        here, worth = now.without(_numbers(now, [one])), _criterion(now)
         own = [f for f in families if f.joint == one.family.joint and f.name in ("scale_error", "cyclic_error")]
-        for _ in range(CYCLES if own else 0):
+        for left in range(CYCLES, 0, -1):
             scores = joint_scan.scan(here, own)
-            if not scores:
-                break
+            if not scores or _criterion(here) - left * max(s.drop * s.dispersion for s in scores) > worth:
+                break  # later ones seldom bring more than the first
             here = here.beside([joint_scan.term(scores[0])])
-            if _criterion(here) < _criterion(now):
+            if _criterion(here) < worth:
                 now = fit(now.arms, here.terms, train, now.scatter, rounds=QUICK)
                 break
     return _pruned(now, train)
@@ -194,8 +200,7 @@ def _numbers(now, terms):
 
 def _criterion(now):
     """Bayesian information criterion of a Fit with its weights as they are."""
-    count = sum(len(one.prior) - np.trace(now.covariance(number) / one.prior**2) + one.family.extra for number, one in enumerate(now.terms))
-    return now.cost() + count * np.log(now.size)
+    return now.cost() + (now.known() + sum(one.family.extra for one in now.terms)) * np.log(now.size)
 
 
 def _paying(now, train):
@@ -215,25 +220,23 @@ def _held(now):
     """A function: numbers of terms left out -> ((n,) whitened squares of held-out poses, m RMS of their positions per axis)."""
     fold = stretches(len(now.arms), STRETCHES) % FOLDS
     p = now.X.shape[2]
-    grams, rights, total = [], [], now.half.T @ now.half
     target = (now.W @ now.arms.left[..., None])[..., 0]
-    for k in range(FOLDS):
-        rows = now.used & (fold == k)
-        X = now.X[rows].reshape(-1, p)
-        grams.append(X.T @ X)
-        rights.append(X.T @ target[rows].ravel())
-    right = sum(rights)
+    rows = [now.used & (fold == k) for k in range(FOLDS)]
+    flat = [now.X[r].reshape(-1, p) for r in rows]
+    rights = [X.T @ target[r].ravel() for X, r in zip(flat, rows)]
+    total, inverses = now.information(), []
+    for X in flat:
+        H = total - X.T @ X
+        H[np.diag_indices_from(H)] *= 1 + 1e-10
+        inverses.append(cho_solve(cho_factor(H), np.eye(p)))
+    sizes = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
 
     def squares(dropped):
-        keep = np.ones(p, bool)
-        for number in dropped:
-            keep[now.slices[number]] = False
+        gone = np.concatenate([np.arange(p)[now.slices[number]] for number in dropped]) if dropped else np.arange(0)
         white = np.zeros(now.y.shape)
-        for k in range(FOLDS):
-            rows = now.used & (fold == k)
-            H = (total - grams[k])[np.ix_(keep, keep)]
-            H[np.diag_indices_from(H)] *= 1 + 1e-10
-            white[rows] = target[rows] - now.X[rows][..., keep] @ np.linalg.solve(H, (right - rights[k])[keep])
+        for r, X, P, size in zip(rows, flat, inverses, sizes):
+            less = size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone])
+            white[r] = target[r] - (X @ less).reshape(-1, white.shape[1])
         left = np.linalg.solve(now.W, white[..., None])[..., 0][now.used, :3]
         return (white**2).sum(axis=1), float(np.sqrt((left**2).mean()))
 

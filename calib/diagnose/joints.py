@@ -87,16 +87,27 @@ class Fit:
         """How many independent numbers there are."""
         return int(self.used.sum()) * self.y.shape[1] - self.arms.freedoms.shape[2]
 
-    def basis(self):
-        """(m, k, p + c) of the used poses: columns whose products are what freedoms and terms take out."""
-        X = self.X[self.used]
-        return solve_triangular(self.half, X.reshape(-1, X.shape[2]).T, trans="T", lower=False, check_finite=False).T.reshape(X.shape)
+    def taken(self, products):
+        """(m, p + c): inner products of columns with X (m, p + c), turned into those with an orthonormal basis of what is taken out."""
+        return solve_triangular(self.half, products.T, trans="T", lower=False, check_finite=False).T
+
+    def information(self):
+        """(p + c, p + c), priors included."""
+        return self.half.T @ self.half
+
+    def inverse(self):
+        """(p + c, p + c) upper triangular R, R R.T the covariance of the sizes."""
+        return solve_triangular(self.half, np.eye(len(self.half)), lower=False, check_finite=False)
 
     def covariance(self, number):
         """(c, c) of one term's sizes."""
-        inverse = solve_triangular(self.half, np.eye(len(self.half)), lower=False)
-        part = inverse[self.slices[number]]
+        part = self.inverse()[self.slices[number]]
         return part @ part.T
+
+    def known(self):
+        """How many numbers of the terms the data determine, priors aside."""
+        prior = self.prior()
+        return float((prior > 0).sum() - prior @ (self.inverse() ** 2).sum(axis=1))
 
     def prior(self):
         """(p + c,) inverse squares of the sizes that priors expect, 0 for the freedoms."""
@@ -112,7 +123,7 @@ class Fit:
         for number in numbers:
             keep[self.slices[number]] = False
         terms = tuple(term for i, term in enumerate(self.terms) if i not in numbers)
-        return self._solved(terms, self.X[..., keep], (self.half.T @ self.half)[np.ix_(keep, keep)])
+        return self._solved(terms, self.X[..., keep], self.information()[np.ix_(keep, keep)])
 
     def beside(self, terms):
         """The Fit with more terms, weights and poses as they are."""
@@ -120,7 +131,7 @@ class Fit:
         flat, old = more[self.used].reshape(-1, more.shape[2]), self.X[self.used].reshape(-1, self.X.shape[2])
         cross, own = old.T @ flat, flat.T @ flat
         own[np.diag_indices_from(own)] += np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
-        H = np.block([[self.half.T @ self.half, cross], [cross.T, own]])
+        H = np.block([[self.information(), cross], [cross.T, own]])
         return self._solved((*self.terms, *terms), np.concatenate([self.X, more], axis=2), H)
 
     def _solved(self, terms, X, H):
