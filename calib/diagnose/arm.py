@@ -8,7 +8,9 @@ from calib.arms.certify import calibrate
 from calib.arms.observations import of_samples
 from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
+from calib.diagnose.joint_unknown import unknowns
 from calib.diagnose.joints import Arms, Fit, fit, stretches
+from calib.diagnose.repeats import repeats
 from calib.pipeline import sample_recording
 from rig.effects.base import Path
 from rig.errors import NotEnoughData
@@ -32,18 +34,21 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; before, fit : Fit by the geometry alone and with all findings
-    findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine stretches first; unknown : [Unknown]"""
+    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted; before, fit : Fit by the geometry
+    alone and with all findings; findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine
+    stretches first; repeats : Repeats or None; unknown : [Unknown]"""
 
     recording: str
     source: str
     arms: Arms
+    arm: object
     before: Fit
     fit: Fit
     findings: list
     families: int
     skipped: list
     held: list
+    repeats: object
     unknown: list
 
 
@@ -81,18 +86,18 @@ def diagnose(recording, only=None, without=(), progress=None):
     s, design = sampled.samples, recording.design
     sensors = recording.sensors
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
-    arms, _ = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
-    return diagnosed(arms, recording.folder.resolve().name, sampled.source, only, without, progress)
+    arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
+    return diagnosed(arms, found.arm, recording.folder.resolve().name, sampled.source, only, without, progress)
 
 
-def diagnosed(arms, name, source, only=None, without=(), progress=None, coarse=True):
-    """ArmDiagnosis of Arms; coarse : whether long stretches are held out as well."""
-    from calib.diagnose.joint_unknown import unknowns
-
+def diagnosed(arms, arm, name, source, only=None, without=(), progress=None, coarse=True):
+    """ArmDiagnosis of Arms linear about an Arm; coarse : whether long stretches are held out as well."""
     asked, skipped = families(arms, only, without)
     chosen = select(arms, asked, progress=progress)
     held = [nested(arms, asked, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
-    return ArmDiagnosis(name, source, arms, fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, unknowns(chosen))
+    again = repeats(chosen)
+    return ArmDiagnosis(name, source, arms, arm, fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, again,
+                        unknowns(chosen, again))
 
 
 def nested(arms, asked, count, progress=None):

@@ -5,6 +5,7 @@ import html
 import numpy as np
 from matplotlib.figure import Figure
 
+from calib.diagnose.arm_picture import picture
 from calib.report import page, table
 
 SURE = ("effect", "place", "size", "delta BIC", "held-out RMS without it, mm", "with it", "cannot be told from")
@@ -19,16 +20,19 @@ def diagnosis_page(path, d):
         f = figures(left)
         return [label, *(f"{f[key] * 1e3:.4f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")), f"{f.get('mean_rad', np.nan) * 1e3:.4f}", f["n"]]
 
+    floor_text = (f"the instrument's own uncertainty is {noise(d)['pose_m'] * 1e3:.3f} mm" if d.repeats is None else
+                  f"the same command given again comes back within {d.repeats.mean * 1e3:.3f} mm ({d.repeats.pairs} pairs)")
     names = ", ".join(sorted({f"{t.family.name} at {t.family.place}" for t in d.fit.terms}))
     held = d.held[0]
     before, after = figures(held.before)["mean_m"] * 1e3, figures(held.after)["mean_m"] * 1e3
     verdict = (f"Left out: <b>{html.escape(names)}</b>. On stretches neither fitted nor used to choose, the mean position error falls from "
-               f"{before:.3f} mm (geometry alone) to <b>{after:.3f} mm</b>; the instrument's own uncertainty is "
-               f"{noise(d)['pose_m'] * 1e3:.3f} mm."
+               f"{before:.3f} mm (geometry alone) to <b>{after:.3f} mm</b>; {floor_text}."
                if d.fit.terms else "Nothing is left out: the recording and the geometry agree within the noise.")
     rows = [row(f"{label}, {h.stretches} stretches", left) for h in d.held
             for label, left in (("geometry alone", h.before), ("with effects", h.after))]
-    parts = [f"<p>{verdict}</p>", table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
+    aside = d.arms.frame[~d.fit.used]
+    parts = [f"<p>{verdict}</p>", f"<p>{len(aside)} poses agree with no model and were set aside: frames {', '.join(map(str, aside))}.</p>"
+             if len(aside) else "", picture(d.arm, d.arms.q, _moved(d)), table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
     if d.findings:
         parts += ["<h2>How sure</h2>", table(SURE,
                   [_row(d, f, parameters(d, f)) for f in d.findings])]
@@ -37,9 +41,19 @@ def diagnosis_page(path, d):
     parts += ["<h2>Pose by pose</h2>", _errors(held)]
     if d.unknown:
         parts += ["<h2>What nobody can name</h2>", table(("place", "RMS", "depends on"),
-                  [(u.place, f"{u.magnitude * 1e3:.4f} m{u.unit}", ", ".join(u.depends_on) or "scatter beyond the instrument's") for u in d.unknown])]
+                  [(u.place, f"{u.magnitude * 1e3:.4f} m{u.unit}", _depends(d, u)) for u in d.unknown])]
     parts += ["<h2>Not asked</h2>", table(("effect", "reason"), [(s.effect, s.reason) for s in d.skipped])]
     page(path, f"Diagnosis of {d.recording}", parts)
+
+
+def _moved(d):
+    """{joint: {effect: RMS in rad}} of what the findings do, those of one name at one joint together."""
+    out = {}
+    for number, term in enumerate(d.fit.terms):
+        if term.family.joint is not None:
+            here = out.setdefault(term.family.joint, {})
+            here[term.family.name] = float(np.hypot(here.get(term.family.name, 0.0), d.fit.part(number).std()))
+    return out
 
 
 def _row(d, f, found):
@@ -49,6 +63,12 @@ def _row(d, f, found):
     family = d.fit.terms[f.number].family
     return (family.name, family.place, f"{name} {first['value']:.3g} {first['unit']} ({low:.3g} to {high:.3g})", f"{f.score.gain(d.fit.size):.0f}",
             f"{f.before * 1e3:.4f}", f"{f.after * 1e3:.4f}", rivals)
+
+
+def _depends(d, u):
+    if u.depends_on == ("configuration",):
+        return f"the same command brings it again ({d.repeats.again:.0%} of it): of the arm, not of the instrument, and of no form that was tried"
+    return ", ".join(u.depends_on) or "scatter beyond the instrument's"
 
 
 def _effects(d):

@@ -27,10 +27,18 @@ def to_dict(d):
     return {"schema": SCHEMA, "recording": d.recording, "noise": noise(d), "findings": found,
             "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
                                                        "depends_on": list(worst.depends_on)},
-            "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": noise(d)["pose_m"], "unit": "m"},
+            "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": floor(d), "unit": "m"},
             "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), "chosen": [list(n) for n in h.names]}
                          for h in d.held],
+            "repeats": None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
+                                                       "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again},
+            "set_aside": d.arms.frame[~d.fit.used].tolist(),
             "not_asked": [{"effect": s.effect, "reason": s.reason} for s in d.skipped]}
+
+
+def floor(d):
+    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
+    return noise(d)["pose_m"] if d.repeats is None else d.repeats.mean
 
 
 def save(folder, d):
@@ -126,4 +134,4 @@ def _finding(d, finding):
             "evidence": {"delta_bic": finding.score.gain(d.fit.size), "p_value": min(1.0, finding.score.p_value * d.families),
                          "heldout_before": finding.before, "heldout_after": finding.after, "unit": "m", "gain_sigma": finding.gain},
             "cannot_be_told_from": [{"effect": r.score.family.name, "place": r.score.family.place, "delta_bic": r.behind, "cosine": r.cosine,
-                                     "experiment": experiment(family.name, r.score.family.name)} for r in finding.rivals]}
+                                     **({"order": r.score.shape["order"]} if "order" in r.score.shape else {}), "experiment": experiment(family.name, r.score.family.name)} for r in finding.rivals]}

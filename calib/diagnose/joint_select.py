@@ -1,11 +1,12 @@
 """Which effects sit at which joints: forward steps, backward checks, simple cases before general ones, stretches held out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnose import joint_scan
+from calib.diagnose.joint_families import FINE, KNOTS
 from calib.diagnose.joints import Fit, fit, stretches
 from calib.diagnose.scan import Score
 
@@ -23,6 +24,7 @@ QUICK = 2  # times of weighing anew while the search goes on
 MOST = 24  # effects at once
 SIGNED = ("backlash", "hysteresis", "joint_clearance", "creep")  # sizes that physics lets be positive alone
 OWN = ("scale_error", "cyclic_error", "transmission_error")  # what depends on a joint's own angle alone, simple before general
+ALIASES = 3  # other orders of a sinusoid that are looked at
 ONCE = ("scale_error", "transmission_error", "compliance")  # at a joint; a second one would be the first
 CYCLES = 2  # sinusoids that a profile is tried to be made of
 
@@ -58,8 +60,7 @@ def select(arms, families, train=None, progress=None):
     now = fit(arms, (), train)
     tried = set()
     while len(now.terms) < MOST:
-        has = {(t.family.name, t.family.joint) for t in now.terms if t.family.name in ONCE}
-        scores = joint_scan.scan(now, [f for f in families if (f.name, f.joint) not in has],
+        scores = joint_scan.scan(now, _open(now, families),
                                  _labelled(progress, f"searching beside {len(now.terms)} effects"), GAIN)
         scores = [s for s in scores if convincing(s, len(families), now.size) and _key(s) not in tried]
         if not scores:
@@ -77,6 +78,20 @@ def select(arms, families, train=None, progress=None):
         now = _pruned(_refined(now, train), train)
     now = _simplified(_gathered(now, families, train), families, train)
     return _paying(fit(arms, now.terms, train, now.scatter), train)
+
+
+def _open(now, families):
+    """The families that may still be admitted: where a joint has its profile, only sinusoids finer than knots can follow."""
+    has = {(t.family.name, t.family.joint) for t in now.terms if t.family.name in ONCE}
+    out = []
+    for family in families:
+        if (family.name, family.joint) in has or (family.name == "scale_error" and ("transmission_error", family.joint) in has):
+            continue
+        if family.name == "cyclic_error" and ("transmission_error", family.joint) in has:
+            family = replace(family, shapes=[shape for shape in family.shapes if shape["order"] > np.pi / min(KNOTS)])
+        if family.shapes:
+            out.append(family)
+    return out
 
 
 def _labelled(progress, label):
@@ -100,6 +115,8 @@ def findings(now, families, progress=None):
         scores = joint_scan.scan(without, families, _labelled(progress, f"rivals of {one.family.name} {number + 1}"), max(least, 0.0))
         mine = _signature(without, own)
         rivals = [r for r in (_rival(without, own, mine, s, one) for s in scores) if r is not None]
+        rivals += [a for s in scores if s.family.name == one.family.name and s.family.joint == one.family.joint
+                   for a in _aliases(without, own, mine, s)]
         held = squares((number,))
         gain = _gain(held[0] - with_all[0])
         out.append(Finding(number, own, sorted(rivals, key=lambda r: r.behind), gain, held[1], with_all[1]))
@@ -108,8 +125,7 @@ def findings(now, families, progress=None):
 
 def _only(one):
     """The Family of a Term, confined to its shape."""
-    family = one.family
-    return type(family)(family.name, family.joint, [one.shape], family.weights, family.prior, family.extra)
+    return replace(one.family, shapes=[one.shape], step=0.0)
 
 
 def _signature(without, score):
@@ -125,9 +141,29 @@ def _rival(without, own, mine, score, one):
     if score.family.name in SIGNED and score.coefficients[0] <= 0:
         return None
     other = _signature(without, score)
-    cosine = float(mine @ other / np.sqrt(max((mine @ mine) * (other @ other), 1e-300)))
+    cosine = _cosine(mine, other)
     same = abs(cosine) > COSINE or (behind < ALIKE and abs(cosine) > AKIN)
     return Rival(score, behind, cosine) if same else None
+
+
+def _aliases(without, own, mine, score):
+    """Rivals of a sinusoid's finding: other orders that explain as much, where commands stood on a lattice of angles."""
+    family = score.family
+    if not family.step:
+        return []
+    c, apart = score.curve, family.step / FINE
+    peaks = [i for i in range(1, len(c) - 1) if c[i] >= max(c[i - 1], c[i + 1]) and abs(family.shapes[i]["order"] - own.shape["order"]) > apart]
+    out = []
+    for i in sorted(peaks, key=lambda i: -c[i])[:ALIASES]:
+        other = joint_scan.scan(without, [replace(family, shapes=[family.shapes[i]], step=0.0)])
+        behind = own.raw_gain(without.size) - other[0].raw_gain(without.size) if other else np.inf
+        if behind < 2 * ALIKE:
+            out.append(Rival(other[0], behind, _cosine(mine, _signature(without, other[0]))))
+    return out
+
+
+def _cosine(a, b):
+    return float(a @ b / np.sqrt(max((a @ a) * (b @ b), 1e-300)))
 
 
 def _key(score):

@@ -60,7 +60,7 @@ def test_hidden_effects_are_found_at_their_joints(found):
 def test_sizes_are_those_that_were_hidden(found):
     arms, asked, fit = found
     listed = findings(fit, asked)
-    d = arm.ArmDiagnosis("arm", "poses.csv", arms, fit, fit, listed, len(asked), [], [], [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
+    d = arm.ArmDiagnosis("arm", "poses.csv", arms, UR10, fit, fit, listed, len(asked), [], [], None, [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
     by_name = {arm_result._finding(d, f)["effect"]: arm_result._finding(d, f) for f in listed}
     gap = by_name["backlash"]["parameters"]["gap"]
     assert gap["ci95"][0] <= GAP <= gap["ci95"][1] and gap["ci95"][1] - gap["ci95"][0] < 0.3 * GAP
