@@ -105,7 +105,8 @@ def nested(arms, asked, count, progress=None):
     part = stretches(len(arms), count) % PARTS
     before, after, names = np.empty(arms.left.shape), np.empty(arms.left.shape), []
     for k in range(PARTS):
-        chosen = select(arms, asked, part != k, progress)
+        label = f"part {k + 1} of {PARTS} of {count} stretches held out, "
+        chosen = select(arms, asked, part != k, progress and (lambda what, done, of, label=label: progress(label + what, done, of)))
         before[part == k] = fit(arms, (), part != k).left[part == k]
         after[part == k] = chosen.left[part == k]
         names.append(tuple(f"{t.family.name} {t.family.place}" for t in chosen.terms))

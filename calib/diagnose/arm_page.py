@@ -83,7 +83,7 @@ def _effects(d):
         a, y = (fit.W @ direction[..., None])[..., 0], fit.y
         rest = (a * y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
         level = moved[fit.used].mean()
-        x, label = (arms.q[:, j], "angle, rad") if one.family.name in HELP else (moved - level, "predicted, rad")
+        x, label = (arms.q[:, j], "angle, rad") if one.family.name in HELP else ((moved - level) * 1e3, "predicted, mrad")
         if one.family.name in ("warm_up", "missed_steps"):
             x, label = arms.t, "time, s"
         good = np.flatnonzero(fit.used)[np.argsort(x[fit.used])]

@@ -17,7 +17,7 @@ def picture(arm, q, moved):
     turn = arm.base.rotation.as_matrix()  # seen in the arm's own base, whatever stands where
     at = (chain - base) @ turn
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
     largest = max((max(found.values()) for found in moved.values()), default=1.0)
     for axes, ((a, b), title) in zip(figure.subplots(1, len(VIEWS)), VIEWS):
         for k in np.linspace(0, len(q) - 1, GHOSTS).astype(int):
@@ -29,7 +29,7 @@ def picture(arm, q, moved):
             axes.plot(points[j, a], points[j, b], "o", ms=8 + 9 * size, color=MARKED if j in moved else QUIET, zorder=3, alpha=0.85)
             axes.annotate(str(j + 1), (points[j, a], points[j, b]), ha="center", va="center", color="white", fontsize=8, zorder=4)
         axes.set(title=title, xlabel="m", ylabel="m")
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="box")
     lines = [f"joint {j + 1}: " + ", ".join(f"{name} {size * 1e3:.3f} mrad" for name, size in moved[j].items()) for j in sorted(moved)]
     axes.text(1.03, 1.0, "\n".join(lines) or "nothing was found", transform=axes.transAxes, va="top", fontsize=8, color=MARKED if lines else QUIET)
     return figure

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import rankdata
 
 from calib.diagnose import joint_scan
 from calib.diagnose.joint_families import FINE, KNOTS
@@ -12,7 +13,7 @@ from calib.diagnose.scan import Score
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, joints and searches
 GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
-PAYS = 2.0  # standard errors by which the squares of held-out stretches must fall
+PAYS = 2.0  # standard errors by which held-out stretches must gain
 FOLDS = 5
 STRETCHES = 30
 ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
@@ -40,7 +41,7 @@ class Rival:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """number : of the term; score : with all others admitted; rivals : [Rival]; gain : of the squares of held-out stretches, in standard
+    """number : of the term; score : with all others admitted; rivals : [Rival]; gain : of held-out stretches, in standard
     errors; before, after : m (or rad), RMS of held-out positions without it and with it"""
 
     number: int
@@ -157,8 +158,9 @@ def _aliases(without, own, mine, score):
     for i in sorted(peaks, key=lambda i: -c[i])[:ALIASES]:
         other = joint_scan.scan(without, [replace(family, shapes=[family.shapes[i]], step=0.0)])
         behind = own.raw_gain(without.size) - other[0].raw_gain(without.size) if other else np.inf
-        if behind < 2 * ALIKE:
-            out.append(Rival(other[0], behind, _cosine(mine, _signature(without, other[0]))))
+        cosine = _cosine(mine, _signature(without, other[0])) if other else 0.0
+        if behind < 2 * ALIKE and abs(cosine) > AKIN:
+            out.append(Rival(other[0], behind, cosine))
     return out
 
 
@@ -280,9 +282,14 @@ def _held(now):
 
 
 def _gain(drop):
-    """A drop (n,) of squares in standard errors of its sum over stretches."""
+    """How surely stretches gain by a drop (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong effect's gains are
+    uneven (one stretch may hold most of it); none where their sum falls."""
     by = np.bincount(stretches(len(drop), STRETCHES), weights=drop)
-    return float(by.sum() / max(np.sqrt(len(by)) * by.std(ddof=1), 1e-300))
+    by = by[by != 0]
+    if by.sum() <= 0:
+        return 0.0
+    n = len(by)
+    return float(rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
 __all__ = ["Finding", "Fit", "Rival", "convincing", "findings", "select"]
