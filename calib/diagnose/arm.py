@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arms.certify import calibrate
+from calib.arms.model import moved
 from calib.arms.observations import of_samples
 from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
@@ -34,7 +35,7 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted; before, fit : Fit by the geometry
+    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings; before, fit : Fit by the geometry
     alone and with all findings; findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine
     stretches first; repeats : Repeats or None; unknown : [Unknown]"""
 
@@ -87,16 +88,17 @@ def diagnose(recording, only=None, without=(), progress=None):
     sensors = recording.sensors
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
     arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
-    return diagnosed(arms, found.arm, recording.folder.resolve().name, sampled.source, only, without, progress)
+    return diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)
 
 
-def diagnosed(arms, arm, name, source, only=None, without=(), progress=None, coarse=True):
-    """ArmDiagnosis of Arms linear about an Arm; coarse : whether long stretches are held out as well."""
+def diagnosed(arms, found, name, source, only=None, without=(), progress=None, coarse=True):
+    """ArmDiagnosis of Arms linear about the Arm that was Identified; coarse : whether long stretches are held out as well."""
     asked, skipped = families(arms, only, without)
     chosen = select(arms, asked, progress=progress)
     held = [nested(arms, asked, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
-    again = repeats(chosen)
-    return ArmDiagnosis(name, source, arms, arm, fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, again,
+    again, step = repeats(chosen), np.zeros(len(found.free))
+    step[found.free] = chosen.theta[: found.free.sum()]
+    return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, again,
                         unknowns(chosen, again))
 
 

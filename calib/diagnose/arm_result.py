@@ -7,7 +7,8 @@ from scipy.linalg import cho_solve
 
 from calib.diagnose.joint_scan import reshaped
 from calib.diagnose.result import SCHEMA, _places, experiment
-from rig.writing import write_text
+from rig.pose import vector
+from rig.writing import write_table, write_text
 
 Z95 = 1.959964
 UNITS = {"scale_error": "", "backlash": "rad", "hysteresis": "", "warm_up": "rad", "missed_steps": "rad", "creep": "", "joint_clearance": "rad",
@@ -41,12 +42,29 @@ def floor(d):
     return noise(d)["pose_m"] if d.repeats is None else d.repeats.mean
 
 
-def save(folder, d):
-    """Write diagnosis.json and the page into a folder."""
+def save(folder, d, recording):
+    """Write diagnosis.json and the page into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
+    joints.csv (per frame, what was commanded and what the findings do to it) and the recording's own files."""
     from calib.diagnose.arm_page import diagnosis_page
 
     write_text(folder / "diagnosis.json", json.dumps(to_dict(d), indent=1) + "\n")
     diagnosis_page(folder / "diagnosis.html", d)
+    tree = {"joints": d.arm.rows.tolist(), "base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(),
+            "rotations": d.arms.left.shape[1] == 6, "effects": [f"{t.family.name} at {t.family.place}" for t in d.fit.terms]}
+    write_text(folder / "arm.json", json.dumps(tree) + "\n")
+    count = d.arms.q.shape[1]
+    more, growth = np.zeros(d.arms.q.shape), np.zeros(len(d.arms))
+    for number, one in enumerate(d.fit.terms):
+        if one.family.joint is None:
+            growth += d.fit.part(number)
+        else:
+            more[:, one.family.joint] += d.fit.part(number)
+    names = ("frame", *(f"q{j + 1}" for j in range(count)), *(f"e{j + 1}" for j in range(count)), "growth")
+    write_table(folder / "joints.csv", names, [",".join([str(frame), *(f"{x:.12f}" for x in (*q, *e)), f"{g:.6e}"])
+                                               for frame, q, e, g in zip(d.arms.frame, d.arms.q, more, growth)])
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if (recording.folder / name).exists():
+            write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))
 
 
 def mean(left):

@@ -11,6 +11,7 @@ from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
 from calib.diagnose.unknown import Unknown
 from rig import cli
+from rig import recording as recordings
 from rig.effects.play import play
 from rig.errors import NotEnoughData
 from rig.mechanisms import dynamics
@@ -106,3 +107,23 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
     assert "scale_error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
     assert "scale_error at joint 4" in capsys.readouterr().out
+
+
+def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    true = arm_worlds.secret(UR10, rng)
+    samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
+    arm_worlds.write(tmp_path / "rec", UR10, samples)
+    ask = ["--only", "scale_error"]
+    assert cli.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), *ask]) == 0
+    assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "both")]) == 0
+    drawn = {kind: recordings.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
+    apart = {kind: np.linalg.norm(T.translation - samples.T_base_platform.translation, axis=1).mean() for kind, T in drawn.items()}
+    assert apart["with"] < 4 * 2e-5 < 5e-4 < apart["without"]
+    for kind, count in (("with", 1), ("without", 0)):
+        assert cli.main(["diagnose", str(tmp_path / "both" / kind), "--out", str(tmp_path / kind), *ask]) == 0
+        found = json.loads((tmp_path / kind / "diagnosis.json").read_text())["findings"]
+        assert [f["place"] for f in found if f["effect"] == "scale_error"] == ["joint 4"] * count
+    (tmp_path / "out" / "arm.json").write_text("{}")
+    assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 1
+    assert "arm.json" in capsys.readouterr().err
