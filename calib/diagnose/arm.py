@@ -35,9 +35,9 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings; before, fit : Fit by the geometry
-    alone and with all findings; findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine
-    stretches first; repeats : Repeats or None; unknown : [Unknown]"""
+    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings
+    before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; families : how many were asked
+    skipped : [Skipped]; held : [HeldOut], fine stretches first; repeats : Repeats or None; unknown : [Unknown]"""
 
     recording: str
     source: str
@@ -98,8 +98,8 @@ def diagnosed(arms, found, name, source, only=None, without=(), progress=None, c
     held = [nested(arms, asked, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
     again, step = repeats(chosen), np.zeros(len(found.free))
     step[found.free] = chosen.theta[: found.free.sum()]
-    return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, again,
-                        unknowns(chosen, again))
+    return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped,
+                        held, again, unknowns(chosen, again))
 
 
 def nested(arms, asked, count, progress=None):

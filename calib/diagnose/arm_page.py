@@ -32,13 +32,14 @@ def diagnosis_page(path, d):
             for label, left in (("geometry alone", h.before), ("with effects", h.after))]
     aside = d.arms.frame[~d.fit.used]
     parts = [f"<p>{verdict}</p>", f"<p>{len(aside)} poses agree with no model and were set aside: frames {', '.join(map(str, aside))}.</p>"
-             if len(aside) else "", picture(d.arm, d.arms.q, _moved(d)), table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
+             if len(aside) else "", picture(d.arm, d.arms.q, _moved(d)),
+             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "N"), rows)]
     if d.findings:
         parts += ["<h2>How sure</h2>", table(SURE,
                   [_row(d, f, parameters(d, f)) for f in d.findings])]
         parts += ["<h2>What it looks like</h2><p class=note>Residual turned back into the joint, everything else taken out: grey with the effect "
                   "left in, blue with it taken out; red the effect as fitted.</p>", _effects(d)]
-    parts += ["<h2>Pose by pose</h2>", _errors(held)]
+    parts += ["<h2>Pose by pose</h2>", _errors(held, None if d.repeats is None else d.repeats.mean)]
     if d.unknown:
         parts += ["<h2>What nobody can name</h2>", table(("place", "RMS", "depends on"),
                   [(u.place, f"{u.magnitude * 1e3:.4f} m{u.unit}", _depends(d, u)) for u in d.unknown])]
@@ -95,11 +96,13 @@ def _effects(d):
     return figure
 
 
-def _errors(held):
+def _errors(held, floor):
     figure = Figure(figsize=(11, 3), layout="constrained")
     axes = figure.subplots()
     for left, label in ((held.before, "geometry alone"), (held.after, "with effects")):
         axes.semilogy(np.linalg.norm(left[:, :3], axis=1) * 1e3, ".", ms=2, label=label)
+    if floor is not None:
+        axes.axhline(floor * 1e3, color="0.3", lw=0.8, label="the same command again")
     axes.set(xlabel="pose", ylabel="held-out position error, mm")
     axes.legend(fontsize=8)
     return figure

@@ -19,7 +19,8 @@ def picture(arm, q, moved):
     typical = int(np.argmin(((q - np.median(q, axis=0)) ** 2).sum(axis=1)))
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     largest = max((max(found.values()) for found in moved.values()), default=1.0)
-    for axes, ((a, b), title) in zip(figure.subplots(1, len(VIEWS)), VIEWS):
+    *panels, words = figure.subplots(1, len(VIEWS) + 1)
+    for axes, ((a, b), title) in zip(panels, VIEWS):
         for k in np.linspace(0, len(q) - 1, GHOSTS).astype(int):
             axes.plot(at[k, :, a], at[k, :, b], color="0.9", lw=1.5, zorder=1)
         points = at[typical]
@@ -30,6 +31,7 @@ def picture(arm, q, moved):
             axes.annotate(str(j + 1), (points[j, a], points[j, b]), ha="center", va="center", color="white", fontsize=8, zorder=4)
         axes.set(title=title, xlabel="m", ylabel="m")
         axes.set_aspect("equal", adjustable="box")
-    lines = [f"joint {j + 1}: " + ", ".join(f"{name} {size * 1e3:.3f} mrad" for name, size in moved[j].items()) for j in sorted(moved)]
-    axes.text(1.03, 1.0, "\n".join(lines) or "nothing was found", transform=axes.transAxes, va="top", fontsize=8, color=MARKED if lines else QUIET)
+    lines = [f"joint {j + 1}: " + ",\n    ".join(f"{name} {size * 1e3:.3f} mrad" for name, size in moved[j].items()) for j in sorted(moved)]
+    words.text(0, 1, "\n".join(lines) or "nothing was found", transform=words.transAxes, va="top", fontsize=9, color=MARKED if lines else QUIET)
+    words.axis("off")
     return figure

@@ -49,9 +49,8 @@ def save(folder, d, recording):
 
     write_text(folder / "diagnosis.json", json.dumps(to_dict(d), indent=1) + "\n")
     diagnosis_page(folder / "diagnosis.html", d)
-    tree = {"joints": d.arm.rows.tolist(), "base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(),
+    tree = {"base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(),
             "rotations": d.arms.left.shape[1] == 6, "effects": [f"{t.family.name} at {t.family.place}" for t in d.fit.terms]}
-    write_text(folder / "arm.json", json.dumps(tree) + "\n")
     count = d.arms.q.shape[1]
     more, growth = np.zeros(d.arms.q.shape), np.zeros(len(d.arms))
     for number, one in enumerate(d.fit.terms):
@@ -59,7 +58,10 @@ def save(folder, d, recording):
             growth += d.fit.part(number)
         else:
             more[:, one.family.joint] += d.fit.part(number)
+    tree["joints"] = (d.arm.rows + more.mean(axis=0)[:, None] * [1, 0, 0, 0, 0]).tolist()  # what is constant is a joint's zero
+    more -= more.mean(axis=0)
     names = ("frame", *(f"q{j + 1}" for j in range(count)), *(f"e{j + 1}" for j in range(count)), "growth")
+    write_text(folder / "arm.json", json.dumps(tree) + "\n")
     write_table(folder / "joints.csv", names, [",".join([str(frame), *(f"{x:.12f}" for x in (*q, *e)), f"{g:.6e}"])
                                                for frame, q, e, g in zip(d.arms.frame, d.arms.q, more, growth)])
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
@@ -148,8 +150,15 @@ def _cycle(d, finding, theta):
 
 def _finding(d, finding):
     family = d.fit.terms[finding.number].family
+    rivals = [_rival(family.name, r) for r in finding.rivals]
     return {"effect": family.name, "place": family.place, "parameters": parameters(d, finding),
             "evidence": {"delta_bic": finding.score.gain(d.fit.size), "p_value": min(1.0, finding.score.p_value * d.families),
                          "heldout_before": finding.before, "heldout_after": finding.after, "unit": "m", "gain_sigma": finding.gain},
-            "cannot_be_told_from": [{"effect": r.score.family.name, "place": r.score.family.place, "delta_bic": r.behind, "cosine": r.cosine,
-                                     **({"order": r.score.shape["order"]} if "order" in r.score.shape else {}), "experiment": experiment(family.name, r.score.family.name)} for r in finding.rivals]}
+            "cannot_be_told_from": rivals}
+
+
+def _rival(name, rival):
+    family, shape = rival.score.family, rival.score.shape
+    order = {"order": shape["order"]} if "order" in shape else {}
+    return {"effect": family.name, "place": family.place, "delta_bic": rival.behind, "cosine": rival.cosine, **order,
+            "experiment": experiment(name, family.name)}
