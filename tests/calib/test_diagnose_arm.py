@@ -127,3 +127,15 @@ def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     (tmp_path / "out" / "arm.json").write_text("{}")
     assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 1
     assert "arm.json" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_real_arms_gears_are_found_and_what_was_not_asked_stays_unknown(shared, tmp_path):
+    assert cli.main(["diagnose", str(shared / "recordings/arm-1"), "--out", str(tmp_path / "out"), "--only", "transmission_error"]) == 0
+    tree = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    named = {f["place"] for f in tree["findings"] if f["effect"] == "transmission_error"}
+    assert named == {f"joint {j}" for j in range(1, 7)} and {f["effect"] for f in tree["findings"]} == {"transmission_error", "unknown"}
+    assert {"joint 2", "joint 3"} <= {f["place"] for f in tree["findings"] if f["effect"] == "unknown"}  # what carries the arm's weight
+    for held in tree["held_out"]:
+        assert held["after"]["mean_m"] < 0.2e-3 < 0.38e-3 < held["before"]["mean_m"]
+    assert 250 < tree["repeats"]["pairs"] < 300 and 2e-5 < tree["fit"]["noise_floor"] < 4e-5 and len(tree["set_aside"]) < 10
