@@ -68,7 +68,7 @@ def _row(d, f, found):
 
 def _depends(d, u):
     if u.depends_on == ("configuration",):
-        return f"the same command brings it again ({d.repeats.again:.0%} of it): of the arm, not of the instrument, and of no form that was tried"
+        return f"the same command brings it again ({d.repeats.again:.0%} of it): no noise, and of no form that was tried"
     return ", ".join(u.depends_on) or "scatter beyond the instrument's"
 
 

@@ -113,11 +113,12 @@ def _solved(family, b, G):
 
 
 def _orders(family, q, atom):
-    """(b (s, 2), G (s, 2, 2)) of sine and cosine at every order of a family, evenly stepped from order one's `first` step on."""
-    first, count = round(family.shapes[0]["order"] / family.step), len(family.shapes)
-    table = sums(q, np.column_stack([atom.beta, atom.kappa]), family.step, first, count)
+    """(b (s, 2), G (s, 2, 2)) of sine and cosine at every order of a family, multiples of its step."""
+    at = np.round([shape["order"] / family.step for shape in family.shapes]).astype(int)
+    first, count = at.min(), np.ptp(at) + 1
+    table = sums(q, np.column_stack([atom.beta, atom.kappa]), family.step, first, count)[at - first]
     table = np.stack([table.imag, table.real], axis=1)  # (s, 2, 1 + p)
-    twice = sums(q, atom.gamma[:, None], 2 * family.step, first, count)[:, 0]
+    twice = sums(q, atom.gamma[:, None], 2 * family.step, first, count)[at - first, 0]
     whole, K = atom.gamma.sum(), table[:, :, 1:]
     G = np.stack([whole - twice.real, twice.imag, twice.imag, whole + twice.real], axis=1).reshape(-1, 2, 2) / 2
     return table[:, :, 0], G - K @ np.swapaxes(K, 1, 2)

@@ -3,19 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import rankdata
 
 from calib.diagnose import joint_scan
 from calib.diagnose.joint_families import FINE, KNOTS
-from calib.diagnose.joints import Fit, fit, stretches
+from calib.diagnose.joint_prove import gain, held
+from calib.diagnose.joints import Fit, fit
 from calib.diagnose.scan import Score
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, joints and searches
 GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
 PAYS = 2.0  # standard errors by which held-out stretches must gain
-FOLDS = 5
-STRETCHES = 30
 ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
 COSINE = 0.99  # between signatures, from which two are the same
 AKIN = 0.5  # between signatures, below which two are different effects and not rivals, whatever each explains
@@ -82,14 +79,19 @@ def select(arms, families, train=None, progress=None):
 
 
 def _open(now, families):
-    """The families that may still be admitted: where a joint has its profile, only sinusoids finer than knots can follow."""
+    """The families that may still be admitted: where a joint has its profile, only sinusoids finer than knots can follow, and none
+    that the joint's travel cannot tell from one that it has."""
     has = {(t.family.name, t.family.joint) for t in now.terms if t.family.name in ONCE}
+    orders = [(t.family.joint, t.shape["order"]) for t in now.terms if t.family.name == "cyclic_error"]
     out = []
     for family in families:
         if (family.name, family.joint) in has or (family.name == "scale_error" and ("transmission_error", family.joint) in has):
             continue
         if family.name == "cyclic_error" and ("transmission_error", family.joint) in has:
             family = replace(family, shapes=[shape for shape in family.shapes if shape["order"] > np.pi / min(KNOTS)])
+        for joint, order in orders:
+            if family.step and joint == family.joint:
+                family = replace(family, shapes=[shape for shape in family.shapes if abs(shape["order"] - order) > family.step / FINE])
         if family.shapes:
             out.append(family)
     return out
@@ -107,7 +109,7 @@ def convincing(score, count, size):
 def findings(now, families, progress=None):
     """[Finding] of a Fit's terms, the weightiest first, each held against all families with the others admitted."""
     out = []
-    squares = _held(now)
+    squares = held(now)
     with_all = squares(())
     for number, one in enumerate(now.terms):
         without = now.without([number])
@@ -118,9 +120,8 @@ def findings(now, families, progress=None):
         rivals = [r for r in (_rival(without, own, mine, s, one) for s in scores) if r is not None]
         rivals += [a for s in scores if s.family.name == one.family.name and s.family.joint == one.family.joint
                    for a in _aliases(without, own, mine, s)]
-        held = squares((number,))
-        gain = _gain(held[0] - with_all[0])
-        out.append(Finding(number, own, sorted(rivals, key=lambda r: r.behind), gain, held[1], with_all[1]))
+        lacking = squares((number,))
+        out.append(Finding(number, own, sorted(rivals, key=lambda r: r.behind), gain(lacking[0] - with_all[0]), lacking[1], with_all[1]))
     return sorted(out, key=lambda f: -f.score.drop)
 
 
@@ -206,10 +207,15 @@ def _gathered(now, families, train):
 
 
 def _refined(now, train):
-    """Profiles with as many knots as pay now that others are admitted; all is weighed anew."""
-    for one in [t for t in now.terms if t.family.name == "transmission_error"]:
-        rest = now.without(_numbers(now, [one]))
-        best = joint_scan.scan(rest, [one.family])
+    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew."""
+    for one in [t for t in now.terms if t.family.name in ("transmission_error", "cyclic_error")]:
+        rest, family = now.without(_numbers(now, [one])), one.family
+        if "order" in one.shape:
+            whole = round(one.shape["order"] / family.step) if family.step else 0
+            near = [{"order": k * family.step} for k in range(max(whole - 2, 1), whole + 3)] if family.step else [one.shape]
+            best = joint_scan.scan(rest, [replace(family, shapes=near)])
+        else:
+            best = joint_scan.scan(rest, [family])
         if best and best[0].shape != one.shape:
             trial = rest.beside([joint_scan.term(best[0])])
             now = trial if _criterion(trial) < _criterion(now) else now
@@ -244,52 +250,14 @@ def _criterion(now):
 def _paying(now, train):
     """The fit without terms that do not pay on stretches held out."""
     while now.terms:
-        squares = _held(now)
+        squares = held(now)
         base = squares(())[0]
-        gains = [_gain(squares((number,))[0] - base) for number in range(len(now.terms))]
+        gains = [gain(squares((number,))[0] - base) for number in range(len(now.terms))]
         worst = int(np.argmin(gains))
         if gains[worst] >= PAYS:
             break
         now = fit(now.arms, tuple(t for i, t in enumerate(now.terms) if i != worst), train, now.scatter)
     return now
-
-
-def _held(now):
-    """A function: numbers of terms left out -> ((n,) whitened squares of held-out poses, m RMS of their positions per axis)."""
-    fold = stretches(len(now.arms), STRETCHES) % FOLDS
-    p = now.X.shape[2]
-    target = (now.W @ now.arms.left[..., None])[..., 0]
-    rows = [now.used & (fold == k) for k in range(FOLDS)]
-    flat = [now.X[r].reshape(-1, p) for r in rows]
-    rights = [X.T @ target[r].ravel() for X, r in zip(flat, rows)]
-    total, inverses = now.information(), []
-    for X in flat:
-        H = total - X.T @ X
-        H[np.diag_indices_from(H)] *= 1 + 1e-10
-        inverses.append(cho_solve(cho_factor(H), np.eye(p)))
-    sizes = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
-
-    def squares(dropped):
-        gone = np.concatenate([np.arange(p)[now.slices[number]] for number in dropped]) if dropped else np.arange(0)
-        white = np.zeros(now.y.shape)
-        for r, X, P, size in zip(rows, flat, inverses, sizes):
-            less = size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone])
-            white[r] = target[r] - (X @ less).reshape(-1, white.shape[1])
-        left = np.linalg.solve(now.W, white[..., None])[..., 0][now.used, :3]
-        return (white**2).sum(axis=1), float(np.sqrt((left**2).mean()))
-
-    return squares
-
-
-def _gain(drop):
-    """How surely stretches gain by a drop (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong effect's gains are
-    uneven (one stretch may hold most of it); none where their sum falls."""
-    by = np.bincount(stretches(len(drop), STRETCHES), weights=drop)
-    by = by[by != 0]
-    if by.sum() <= 0:
-        return 0.0
-    n = len(by)
-    return float(rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
 __all__ = ["Finding", "Fit", "Rival", "convincing", "findings", "select"]
