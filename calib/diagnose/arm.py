@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from calib.arms.certify import calibrate
 from calib.arms.model import moved
@@ -25,12 +26,14 @@ FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
 class HeldOut:
     """Residuals (n, k), m and rad, of poses by structures chosen and fitted on other stretches: geometry alone, and with effects.
 
-    stretches : how many there were; names : per part, what was chosen on the others"""
+    stretches : how many there were; names : per part, what was chosen on the others
+    far : (n,) rad, how far the joint that is farthest stood from any angle that it was fitted at"""
 
     before: np.ndarray
     after: np.ndarray
     stretches: int
     names: tuple
+    far: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +108,17 @@ def diagnosed(arms, found, name, source, only=None, without=(), progress=None, c
 def nested(arms, asked, count, progress=None):
     """HeldOut over `count` stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
     part = stretches(len(arms), count) % PARTS
-    before, after, names = np.empty(arms.left.shape), np.empty(arms.left.shape), []
+    before, after, far, names = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms)), []
     for k in range(PARTS):
         label = f"part {k + 1} of {PARTS} of {count} stretches held out, "
         chosen = select(arms, asked, part != k, progress and (lambda what, done, of, label=label: progress(label + what, done, of)))
         before[part == k] = fit(arms, (), part != k).left[part == k]
         after[part == k] = chosen.left[part == k]
+        far[part == k] = _farthest(arms.q[part == k], arms.q[part != k])
         names.append(tuple(f"{t.family.name} {t.family.place}" for t in chosen.terms))
-    return HeldOut(before, after, count, tuple(names))
+    return HeldOut(before, after, count, tuple(names), far)
+
+
+def _farthest(q, fitted):
+    """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n, joints)."""
+    return np.stack([cKDTree(b[:, None]).query(a[:, None])[0] for a, b in zip(q.T, fitted.T)]).max(axis=0)

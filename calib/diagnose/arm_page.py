@@ -14,7 +14,7 @@ HELP = {"transmission_error": "the joint's own angle", "cyclic_error": "the join
 
 def diagnosis_page(path, d):
     """Write the page of an ArmDiagnosis."""
-    from calib.diagnose.arm_result import figures, noise, parameters
+    from calib.diagnose.arm_result import NEAR, figures, noise, parameters
 
     def row(label, left):
         f = figures(left)
@@ -29,7 +29,8 @@ def diagnosis_page(path, d):
                f"{before:.3f} mm (geometry alone) to <b>{after:.3f} mm</b>; {floor_text}."
                if d.fit.terms else "Nothing is left out: the recording and the geometry agree within the noise.")
     rows = [row(f"{label}, {h.stretches} stretches", left) for h in d.held
-            for label, left in (("geometry alone", h.before), ("with effects", h.after))]
+            for label, left in (("geometry alone", h.before), ("with effects", h.after), ("of these, every joint near angles it was fitted at",
+                                h.after[h.far <= NEAR]), ("of these, a joint at angles never fitted", h.after[h.far > NEAR])) if len(left)]
     aside = d.arms.frame[~d.fit.used]
     parts = [f"<p>{verdict}</p>", f"<p>{len(aside)} poses agree with no model and were set aside: frames {', '.join(map(str, aside))}.</p>"
              if len(aside) else "", picture(d.arm, d.arms.q, _moved(d)),

@@ -10,6 +10,7 @@ from calib.diagnose.result import SCHEMA, _places, experiment
 from rig.pose import vector
 from rig.writing import write_table, write_text
 
+NEAR = 0.02  # rad; nearer angles than that share a joint's profile
 Z95 = 1.959964
 UNITS = {"scale_error": "", "backlash": "rad", "hysteresis": "", "warm_up": "rad", "missed_steps": "rad", "creep": "", "joint_clearance": "rad",
          "thermal_expansion": "1/K"}
@@ -29,8 +30,8 @@ def to_dict(d):
             "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
                                                        "depends_on": list(worst.depends_on)},
             "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": floor(d), "unit": "m"},
-            "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), "chosen": [list(n) for n in h.names]}
-                         for h in d.held],
+            "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), **reach(h),
+                          "chosen": [list(n) for n in h.names]} for h in d.held],
             "repeats": None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
                                                        "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again},
             "set_aside": d.arms.frame[~d.fit.used].tolist(),
@@ -80,6 +81,13 @@ def figures(left):
     out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
            "max_m": float(size.max()), "n": len(size)}
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+
+
+def reach(held):
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within NEAR of an angle that they were
+    fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
+    near = held.far <= NEAR
+    return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
 
 
 def noise(d):
