@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from calib.arms.certify import calibrate
+from calib.arms.model import moved
 from calib.arms.observations import of_samples
 from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
+from calib.diagnose.joint_unknown import unknowns
 from calib.diagnose.joints import Arms, Fit, fit, stretches
+from calib.diagnose.repeats import repeats
 from calib.pipeline import sample_recording
 from rig.effects.base import Path
 from rig.errors import NotEnoughData
@@ -22,28 +26,33 @@ FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
 class HeldOut:
     """Residuals (n, k), m and rad, of poses by structures chosen and fitted on other stretches: geometry alone, and with effects.
 
-    stretches : how many there were; names : per part, what was chosen on the others"""
+    stretches : how many there were; names : per part, what was chosen on the others
+    far : (n,) rad, how far the joint that is farthest stood from any angle that it was fitted at"""
 
     before: np.ndarray
     after: np.ndarray
     stretches: int
     names: tuple
+    far: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; before, fit : Fit by the geometry alone and with all findings
-    findings : [Finding]; families : how many were asked; skipped : [Skipped]; held : [HeldOut], fine stretches first; unknown : [Unknown]"""
+    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings
+    before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; families : how many were asked
+    skipped : [Skipped]; held : [HeldOut], fine stretches first; repeats : Repeats or None; unknown : [Unknown]"""
 
     recording: str
     source: str
     arms: Arms
+    arm: object
     before: Fit
     fit: Fit
     findings: list
     families: int
     skipped: list
     held: list
+    repeats: object
     unknown: list
 
 
@@ -81,27 +90,35 @@ def diagnose(recording, only=None, without=(), progress=None):
     s, design = sampled.samples, recording.design
     sensors = recording.sensors
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
-    arms, _ = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
-    return diagnosed(arms, recording.folder.resolve().name, sampled.source, only, without, progress)
+    arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
+    return diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)
 
 
-def diagnosed(arms, name, source, only=None, without=(), progress=None, coarse=True):
-    """ArmDiagnosis of Arms; coarse : whether long stretches are held out as well."""
-    from calib.diagnose.joint_unknown import unknowns
-
+def diagnosed(arms, found, name, source, only=None, without=(), progress=None, coarse=True):
+    """ArmDiagnosis of Arms linear about the Arm that was Identified; coarse : whether long stretches are held out as well."""
     asked, skipped = families(arms, only, without)
     chosen = select(arms, asked, progress=progress)
     held = [nested(arms, asked, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
-    return ArmDiagnosis(name, source, arms, fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped, held, unknowns(chosen))
+    again, step = repeats(chosen), np.zeros(len(found.free))
+    step[found.free] = chosen.theta[: found.free.sum()]
+    return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, findings(chosen, asked, progress), len(asked), skipped,
+                        held, again, unknowns(chosen, again))
 
 
 def nested(arms, asked, count, progress=None):
     """HeldOut over `count` stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
     part = stretches(len(arms), count) % PARTS
-    before, after, names = np.empty(arms.left.shape), np.empty(arms.left.shape), []
+    before, after, far, names = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms)), []
     for k in range(PARTS):
-        chosen = select(arms, asked, part != k, progress)
+        label = f"part {k + 1} of {PARTS} of {count} stretches held out, "
+        chosen = select(arms, asked, part != k, progress and (lambda what, done, of, label=label: progress(label + what, done, of)))
         before[part == k] = fit(arms, (), part != k).left[part == k]
         after[part == k] = chosen.left[part == k]
+        far[part == k] = _farthest(arms.q[part == k], arms.q[part != k])
         names.append(tuple(f"{t.family.name} {t.family.place}" for t in chosen.terms))
-    return HeldOut(before, after, count, tuple(names))
+    return HeldOut(before, after, count, tuple(names), far)
+
+
+def _farthest(q, fitted):
+    """(m,) rad: over the joints, the greatest distance of angles q (m, joints) from the nearest of fitted (n, joints)."""
+    return np.stack([cKDTree(b[:, None]).query(a[:, None])[0] for a, b in zip(q.T, fitted.T)]).max(axis=0)

@@ -3,11 +3,14 @@
 import json
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from calib.diagnose.joint_scan import reshaped
 from calib.diagnose.result import SCHEMA, _places, experiment
-from rig.writing import write_text
+from rig.pose import vector
+from rig.writing import write_table, write_text
 
+NEAR = 0.02  # rad; nearer angles than that share a joint's profile
 Z95 = 1.959964
 UNITS = {"scale_error": "", "backlash": "rad", "hysteresis": "", "warm_up": "rad", "missed_steps": "rad", "creep": "", "joint_clearance": "rad",
          "thermal_expansion": "1/K"}
@@ -26,18 +29,45 @@ def to_dict(d):
     return {"schema": SCHEMA, "recording": d.recording, "noise": noise(d), "findings": found,
             "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
                                                        "depends_on": list(worst.depends_on)},
-            "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": noise(d)["pose_m"], "unit": "m"},
-            "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), "chosen": [list(n) for n in h.names]}
-                         for h in d.held],
+            "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": floor(d), "unit": "m"},
+            "held_out": [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), **reach(h),
+                          "chosen": [list(n) for n in h.names]} for h in d.held],
+            "repeats": None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
+                                                       "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again},
+            "set_aside": d.arms.frame[~d.fit.used].tolist(),
             "not_asked": [{"effect": s.effect, "reason": s.reason} for s in d.skipped]}
 
 
-def save(folder, d):
-    """Write diagnosis.json and the page into a folder."""
+def floor(d):
+    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
+    return noise(d)["pose_m"] if d.repeats is None else d.repeats.mean
+
+
+def save(folder, d, recording):
+    """Write diagnosis.json and the page into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
+    joints.csv (per frame, what was commanded and what the findings do to it) and the recording's own files."""
     from calib.diagnose.arm_page import diagnosis_page
 
     write_text(folder / "diagnosis.json", json.dumps(to_dict(d), indent=1) + "\n")
     diagnosis_page(folder / "diagnosis.html", d)
+    tree = {"base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(),
+            "rotations": d.arms.left.shape[1] == 6, "effects": [f"{t.family.name} at {t.family.place}" for t in d.fit.terms]}
+    count = d.arms.q.shape[1]
+    more, growth = np.zeros(d.arms.q.shape), np.zeros(len(d.arms))
+    for number, one in enumerate(d.fit.terms):
+        if one.family.joint is None:
+            growth += d.fit.part(number)
+        else:
+            more[:, one.family.joint] += d.fit.part(number)
+    tree["joints"] = (d.arm.rows + more.mean(axis=0)[:, None] * [1, 0, 0, 0, 0]).tolist()  # what is constant is a joint's zero
+    more -= more.mean(axis=0)
+    names = ("frame", *(f"q{j + 1}" for j in range(count)), *(f"e{j + 1}" for j in range(count)), "growth")
+    write_text(folder / "arm.json", json.dumps(tree) + "\n")
+    write_table(folder / "joints.csv", names, [",".join([str(frame), *(f"{x:.12f}" for x in (*q, *e)), f"{g:.6e}"])
+                                               for frame, q, e, g in zip(d.arms.frame, d.arms.q, more, growth)])
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if (recording.folder / name).exists():
+            write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))
 
 
 def mean(left):
@@ -51,6 +81,13 @@ def figures(left):
     out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
            "max_m": float(size.max()), "n": len(size)}
     return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+
+
+def reach(held):
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within NEAR of an angle that they were
+    fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
+    near = held.far <= NEAR
+    return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
 
 
 def noise(d):
@@ -103,12 +140,12 @@ def _cycle(d, finding, theta):
     order, small = one.shape["order"], 1e-4
     slope = (reshaped(one, order=order + small).weights - reshaped(one, order=order - small).weights) @ theta / (2 * small)
     used = fit.used
-    direction = d.arms.joints[used][..., one.family.joint] * slope[used][:, None]
-    u = (fit.W[used] @ direction[..., None]).ravel()
-    basis = fit.basis().reshape(len(u), -1)
-    rest = u - basis @ (basis.T @ u)
-    variance = finding.score.dispersion / max(rest @ rest, 1e-300)
-    inverse = np.linalg.solve(fit.half, basis.T @ u)[fit.slices[number]]  # how the sizes lean with the order
+    direction = d.arms.joints[..., one.family.joint] * slope[:, None]
+    u = (fit.W @ direction[..., None])[..., 0][used]
+    leaning = cho_solve((fit.half, False), fit.X[used].reshape(u.size, -1).T @ u.ravel())
+    rest = u - (fit.X @ leaning)[used]
+    variance = finding.score.dispersion / max((rest**2).sum(), 1e-300)
+    inverse = leaning[fit.slices[number]]  # how the sizes lean with the order
     covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
     amplitude = float(np.hypot(*theta))
     along = theta / max(amplitude, 1e-300)
@@ -121,8 +158,15 @@ def _cycle(d, finding, theta):
 
 def _finding(d, finding):
     family = d.fit.terms[finding.number].family
+    rivals = [_rival(family.name, r) for r in finding.rivals]
     return {"effect": family.name, "place": family.place, "parameters": parameters(d, finding),
             "evidence": {"delta_bic": finding.score.gain(d.fit.size), "p_value": min(1.0, finding.score.p_value * d.families),
                          "heldout_before": finding.before, "heldout_after": finding.after, "unit": "m", "gain_sigma": finding.gain},
-            "cannot_be_told_from": [{"effect": r.score.family.name, "place": r.score.family.place, "delta_bic": r.behind, "cosine": r.cosine,
-                                     "experiment": experiment(family.name, r.score.family.name)} for r in finding.rivals]}
+            "cannot_be_told_from": rivals}
+
+
+def _rival(name, rival):
+    family, shape = rival.score.family, rival.score.shape
+    order = {"order": shape["order"]} if "order" in shape else {}
+    return {"effect": family.name, "place": family.place, "delta_bic": rival.behind, "cosine": rival.cosine, **order,
+            "experiment": experiment(name, family.name)}

@@ -17,7 +17,7 @@ from rig.effects.play import play
 from rig.effects.servo_lag import lag
 from rig.mechanisms import arm as mechanism
 
-KNOTS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05)  # rad between knots of a profile
+KNOTS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a profile
 FEWEST = 4  # knots
 SHARE = 0.125  # of the poses: more knots than that are no profile
 ORDERS = 450.0  # cycles per turn of the joint; twice what a gear of 1 : 101 with four cycles per motor turn shows
@@ -29,7 +29,7 @@ CREEPS = np.geomspace(1.0, 1000.0, 7)  # s
 EDGE = 8  # poses that a step needs on either side
 STRIDE = 4  # poses between the moments at which a step is looked for
 FAINT = 5e-3  # of a load's column, m/s^2 m; a smaller one bends nothing
-RANK = 1e-3  # of the greatest column; what a column has beyond the earlier ones must be more
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 USUAL = {"scale_error": 2e-3, "cyclic_error": 5e-4, "transmission_error": 5e-4, "backlash": 1e-3, "hysteresis": 1e-2, "compliance": 1e-3,
          "joint_clearance": 1e-3, "warm_up": 1e-3, "missed_steps": 2e-3, "creep": 1e-2, "thermal_expansion": 1e-4}  # prior sizes
 REST = "poses are taken at rest"
@@ -39,7 +39,8 @@ REASONS = {"servo_lag": REST, "time_offset": REST, "clock_drift": REST}
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
     """One effect at one place. name : of the effect; joint : index, or None for "rig"; shapes : [{parameter: value}] in order
-    weights : shape -> (n, q) rad per unit; prior : size of a coefficient; extra : parameters beyond the coefficients"""
+    weights : shape -> (n, q) rad per unit; prior : size of a coefficient; extra : parameters beyond the coefficients
+    step : between the orders of shapes that are even multiples of it, 0 for all other families"""
 
     name: str
     joint: int | None
@@ -47,6 +48,7 @@ class Family:
     weights: object
     prior: float
     extra: int = 0
+    step: float = 0.0
 
     @property
     def place(self):
@@ -116,16 +118,17 @@ def _family(name, j, arms):
         return Family(name, j, [{}], lambda shape: (q - q.mean())[:, None], usual)
     if name == "cyclic_error":
         step = FINE * 2 * np.pi / travel
-        orders = np.arange(max(0.5, np.pi / travel), ORDERS, step)
-        return Family(name, j, [{"order": float(w)} for w in orders], lambda shape: sinusoid(q, shape["order"]), usual, 1)
+        orders = step * np.arange(int(np.ceil(max(0.5, np.pi / travel) / step)), int(ORDERS / step))
+        return Family(name, j, [{"order": float(w)} for w in orders], lambda shape: sinusoid(q, shape["order"]), usual, 1, step)
     if name == "transmission_error":
         counts = sorted({max(FEWEST, int(np.ceil(travel / step)) + 1) for step in KNOTS})
         counts = [c for c in counts if c <= SHARE * len(q)]
-        return Family(name, j, [{"knots": c, "low": low, "high": high} for c in counts], lambda shape: spline(q, shape), usual)
+        return Family(name, j, [{"knots": c, "low": low, "high": high} for c in counts], _kept(lambda shape: spline(q, shape)), usual)
     if name == "backlash":
-        return Family(name, j, [{"gap": float(g)} for g in GAPS], lambda shape: _behind(path, j, shape["gap"] / 2)[:, None] / shape["gap"], usual)
+        behind = _kept(lambda shape: _behind(path, j, shape["gap"] / 2)[:, None] / shape["gap"])
+        return Family(name, j, [{"gap": float(g)} for g in GAPS], behind, usual)
     if name == "hysteresis":
-        return Family(name, j, [{"range": float(r)} for r in RANGES], lambda shape: _loops(path, j, shape["range"])[:, None], usual, 1)
+        return Family(name, j, [{"range": float(r)} for r in RANGES], _kept(lambda shape: _loops(path, j, shape["range"])[:, None]), usual, 1)
     if name == "warm_up":
         return Family(name, j, [{"time_constant": float(tau)} for tau in TAUS],
                       lambda shape: (1 - np.exp(-(arms.t - path.t[0]) / shape["time_constant"]))[:, None], usual, 1)
@@ -135,7 +138,7 @@ def _family(name, j, arms):
         return Family(name, j, [{"time": v} for v in times], lambda shape: (t >= shape["time"]).astype(float)[:, None], usual, 1)
     if name == "creep":
         shapes = [{"time_constant": float(tau)} for tau in CREEPS]
-        return Family(name, j, shapes, lambda shape: _late(path, j, shape["time_constant"])[:, None], usual, 1)
+        return Family(name, j, shapes, _kept(lambda shape: _late(path, j, shape["time_constant"])[:, None]), usual, 1)
     load = arms.moments[j][0]
     if not load.shape[1]:
         return None
@@ -143,6 +146,19 @@ def _family(name, j, arms):
         return Family(name, j, [{}], lambda shape: -load, usual)
     sides = _sides(load)
     return Family(name, j, [{"moment": i} for i in range(len(sides))], lambda shape: -sides[shape["moment"]][:, None] / 2, usual) if sides else None
+
+
+def _kept(weights):
+    """The function of a shape, its answers kept: histories are long, and asked for in every search."""
+    known = {}
+
+    def answer(shape):
+        key = tuple(sorted(shape.items()))
+        if key not in known:
+            known[key] = weights(shape)
+        return known[key]
+
+    return answer
 
 
 def sinusoid(q, order):

@@ -10,8 +10,11 @@ KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
 
 
-def unknowns(fit):
-    """[Unknown] that the residuals of a Fit still hold, the most convincing first; last, scatter beyond the instrument's own."""
+def unknowns(fit, again=None):
+    """[Unknown] that the residuals of a Fit still hold, the most convincing first; last, scatter beyond the instrument's own.
+
+    again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
+    """
     arms = fit.arms
     tests = []
     for j in range(arms.q.shape[1]):
@@ -30,8 +33,9 @@ def unknowns(fit):
     out.sort(key=lambda u: -u.drop)
     if fit.scatter[0] > 0:
         own = np.einsum("nkk->nk", arms.own)[:, :3].mean()
+        depends = ("configuration",) if again is not None and again.p_value < ALPHA else ()
         ratio = (fit.scatter[0] ** 2 / own) * np.sqrt(1.5 * fit.used.sum())
-        out.append(Unknown("rig", float(fit.scatter[0] * np.sqrt(3)), "m", (), float(np.exp(-0.5 * min(ratio, 30.0) ** 2)), float(ratio**2)))
+        out.append(Unknown("rig", float(fit.scatter[0] * np.sqrt(3)), "m", depends, float(np.exp(-0.5 * min(ratio, 30.0) ** 2)), float(ratio**2)))
     return out
 
 

@@ -4,7 +4,7 @@ A term moves one joint's angle (or, for what moves the whole arm, the target's p
 have loose normal priors, so that what the data cannot see stays near nothing. Scatter beyond the instrument's own is estimated.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -87,21 +87,60 @@ class Fit:
         """How many independent numbers there are."""
         return int(self.used.sum()) * self.y.shape[1] - self.arms.freedoms.shape[2]
 
-    def basis(self):
-        """(m, k, p + c) of the used poses: columns whose products are what freedoms and terms take out."""
-        X = self.X[self.used]
-        return solve_triangular(self.half, X.reshape(-1, X.shape[2]).T, trans="T", lower=False, check_finite=False).T.reshape(X.shape)
+    def taken(self, products):
+        """(m, p + c): inner products of columns with X (m, p + c), turned into those with an orthonormal basis of what is taken out."""
+        return solve_triangular(self.half, products.T, trans="T", lower=False, check_finite=False).T
+
+    def information(self):
+        """(p + c, p + c), priors included."""
+        return self.half.T @ self.half
+
+    def inverse(self):
+        """(p + c, p + c) upper triangular R, R R.T the covariance of the sizes."""
+        return solve_triangular(self.half, np.eye(len(self.half)), lower=False, check_finite=False)
 
     def covariance(self, number):
         """(c, c) of one term's sizes."""
-        inverse = solve_triangular(self.half, np.eye(len(self.half)), lower=False)
-        part = inverse[self.slices[number]]
+        part = self.inverse()[self.slices[number]]
         return part @ part.T
 
+    def known(self):
+        """How many numbers of the terms the data determine, priors aside."""
+        prior = self.prior()
+        return float((prior > 0).sum() - prior @ (self.inverse() ** 2).sum(axis=1))
+
+    def prior(self):
+        """(p + c,) inverse squares of the sizes that priors expect, 0 for the freedoms."""
+        return np.concatenate([np.zeros(self.arms.freedoms.shape[2])] + [1 / term.prior**2 for term in self.terms])
+
     def cost(self):
-        """-2 log likelihood, priors' part included, up to a constant of the data alone."""
-        spread = np.linalg.slogdet(self.W[self.used])[1].sum()
-        return float((self.y[self.used] ** 2).sum() - 2 * spread)
+        """Whitened squares and the priors' part: what a term's drop is a drop of."""
+        return float((self.y[self.used] ** 2).sum() + self.prior() @ self.theta**2)
+
+    def without(self, numbers):
+        """The Fit of the other terms with weights and poses as they are: rows and columns of the information struck out."""
+        keep = np.ones(self.X.shape[2], bool)
+        for number in numbers:
+            keep[self.slices[number]] = False
+        terms = tuple(term for i, term in enumerate(self.terms) if i not in numbers)
+        return self._solved(terms, self.X[..., keep], self.information()[np.ix_(keep, keep)])
+
+    def beside(self, terms):
+        """The Fit with more terms, weights and poses as they are."""
+        more = np.concatenate([self.W @ term.columns(self.arms) for term in terms], axis=2)
+        flat, old = more[self.used].reshape(-1, more.shape[2]), self.X[self.used].reshape(-1, self.X.shape[2])
+        cross, own = old.T @ flat, flat.T @ flat
+        own[np.diag_indices_from(own)] += np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
+        H = np.block([[self.information(), cross], [cross.T, own]])
+        return self._solved((*self.terms, *terms), np.concatenate([self.X, more], axis=2), H)
+
+    def _solved(self, terms, X, H):
+        target = (self.W @ self.arms.left[..., None])[..., 0]
+        factor = cho_factor(H)
+        theta = cho_solve(factor, X[self.used].reshape(-1, X.shape[2]).T @ target[self.used].ravel())
+        y = target - X @ theta
+        return replace(self, terms=terms, X=X, half=np.triu(factor[0]), theta=theta, left=np.linalg.solve(self.W, y[..., None])[..., 0], y=y,
+                       slices=_slices(self.arms, terms))
 
     def part(self, number):
         """(n, q) . sizes: rad (or unit) by which a term moves its joint in every pose."""
@@ -113,9 +152,8 @@ def fit(arms, terms=(), train=None, scatter=None, rounds=ROUNDS):
     train = np.ones(len(arms), bool) if train is None else train
     parts = [arms.freedoms] + [term.columns(arms) for term in terms]
     raw = np.concatenate(parts, axis=2)
-    edges = np.cumsum([part.shape[2] for part in parts])
-    slices = tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:]))
-    prior = np.concatenate([np.zeros(edges[0])] + [1 / term.prior**2 for term in terms])
+    free = arms.freedoms.shape[2]
+    prior = np.concatenate([np.zeros(free)] + [1 / term.prior**2 for term in terms])
     used, k = train.copy(), arms.left.shape[1]
     scatter = _scatter(arms.left[used], arms.own[used]) if scatter is None else scatter
     for _ in range(rounds):
@@ -127,7 +165,8 @@ def fit(arms, terms=(), train=None, scatter=None, rounds=ROUNDS):
         factor = cho_factor(H)
         theta = cho_solve(factor, flat.T @ (W[used] @ arms.left[used][..., None]).ravel())
         left = arms.left - raw @ theta
-        taken = edges[-1] - (prior[edges[0]:] * np.einsum("ii->i", cho_solve(factor, np.eye(len(H))))[edges[0]:]).sum()
+        inverse = solve_triangular(factor[0], np.eye(len(H)), lower=False, check_finite=False)
+        taken = len(H) - (prior * (inverse**2).sum(axis=1)).sum()
         new = _scatter(left[used], arms.own[used], min(taken / flat.shape[0], 0.8))
         sigma = np.sqrt(np.einsum("nkk->nk", arms.own) + new**2)
         good = train & (np.abs(left) < GATE * sigma).all(axis=1)
@@ -135,7 +174,12 @@ def fit(arms, terms=(), train=None, scatter=None, rounds=ROUNDS):
             break
         used, scatter = good, new
     y = (W @ left[..., None]).reshape(-1, k)
-    return Fit(arms, tuple(terms), used, W, X, np.triu(factor[0]), theta, left, y, scatter, slices)
+    return Fit(arms, tuple(terms), used, W, X, np.triu(factor[0]), theta, left, y, scatter, _slices(arms, terms))
+
+
+def _slices(arms, terms):
+    edges = np.cumsum([arms.freedoms.shape[2], *(len(term.prior) for term in terms)])
+    return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:]))
 
 
 def stretches(count, number):

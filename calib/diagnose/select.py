@@ -19,7 +19,7 @@ COSINE = 0.99  # between signatures, freedoms taken out, from which two are the 
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
-BEATEN = 0.02  # of what a finding explains; a smooth function without a name must do better by as much to beat it
+BEATEN = 0.005  # of what a finding explains; a smooth function without a name must do better by as much to beat it
 BEYOND = 1.5  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
 

@@ -17,7 +17,7 @@ SEEN = 1e-9  # of the greatest eigenvalue; functions below are left alone
 
 
 def strut_weights(k):
-    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut])] of a Knowledge."""
+    """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut, or for all alike])] of a Knowledge."""
     F, ones = len(k.t), np.ones(k.axes)
     bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(cosines(k.t, SLOW), ones)), ("time", _alike(cosines(k.t, FAST), ones))]
     for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
@@ -45,6 +45,8 @@ def strut_weights(k):
             weights[:, i] = functions[:, i]
             strutwise.append((f"strut {i + 1}", weights))
         out.append((depends, strutwise))
+    if speed.any():
+        out.append(("speed", [("rig", bases[-1][1])]))
     return out
 
 
@@ -103,7 +105,7 @@ def cover(planes, left):
     """(pixels (n, 2, q) or None, weights (F, axes, r) or None) of all smooth functions of what Unknowns depend on: at all struts where it is struts,
     at all markers where it is one, else at the cameras themselves."""
     k = planes.knowledge
-    weights = dict(strut_weights(k)) if k.axes else {}  # of two for the same, the finer
+    weights = {depends: strutwise for depends, strutwise in strut_weights(k) if len(strutwise) == k.axes} if k.axes else {}  # the finest of each
     named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []

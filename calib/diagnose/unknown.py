@@ -35,7 +35,7 @@ class Unknown:
 
     def within(self, place):
         """Whether it sits where an effect at a place does, or at a part of it."""
-        kind = {"rig": "strut ", "clock": "strut ", "cameras": "camera ", "markers": "marker "}.get(place)
+        kind = {"rig": ("strut ", "rig"), "clock": ("strut ", "rig"), "cameras": "camera ", "markers": "marker "}.get(place)
         return self.place == place or kind is not None and self.place.startswith(kind)
 
 
@@ -53,8 +53,9 @@ def unknowns(planes):
 def _struts(planes):
     k = planes.knowledge
     atoms = scan.strut_atoms(planes)
-    out = [_tested(planes, atoms, weights, place, "m", (depends,), atoms.gamma[:, i, i].sum())
-           for depends, strutwise in strut_weights(k) for i, (place, weights) in enumerate(strutwise)]
+    each = np.einsum("fii->i", atoms.gamma)
+    out = [_tested(planes, atoms, weights, place, "m", (depends,), each[weights.any(axis=(0, 2))].sum())
+           for depends, strutwise in strut_weights(k) for place, weights in strutwise]
     inverse = np.linalg.inv(planes.W)
     left = (inverse @ planes.struts[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
     own = np.einsum("fij,fij->fi", inverse, inverse)

@@ -38,7 +38,7 @@ def run(arguments):
         from calib.diagnose import arm_result as result
 
         found = arm.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
-        result.save(out, found)
+        result.save(out, found, recording)
     else:
         from calib.diagnose import result
         from calib.diagnose.page import diagnosis_page

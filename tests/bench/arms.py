@@ -1,5 +1,6 @@
 """Arms: kinematics against an outside library, closed forms, Hayati identification, real data, postures, wrenches."""
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -119,7 +120,16 @@ def _real():
     yield "arm-1: geometry and tool, whole stretches held out (a third at a time), mean", f"{done.geometry.after.mean[0] * 1e3:.4f} mm", "<= 0.42 mm"
     for name, figures in (("whole stretches", done.held_out.after), ("random rows", done.scattered.after)):
         yield (f"arm-1: with joint profiles, {name} held out: mean, RMS, 95 %, max",
-               ", ".join(f"{v * 1e3:.3f}" for v in (figures.mean[0], *figures.position)) + " mm", "<= 0.42 mm mean")
+               ", ".join(f"{v * 1e3:.3f}" for v in (figures.mean[0], *figures.position)) + " mm", "<= 0.20 mm mean")
+    with tempfile.TemporaryDirectory() as out:
+        seconds = _timed(lambda: subprocess.run([*RIG, "diagnose", SHARED / "recordings/arm-1", "--out", out], check=True, capture_output=True))
+        tree = json.loads((Path(out) / "diagnosis.json").read_text())
+    yield "arm-1: `rig diagnose`, whole", f"{seconds:.1f} s", "<= 60 s"
+    for held in tree["held_out"]:
+        yield (f"arm-1: effects chosen and fitted elsewhere, {held['stretches']} whole stretches held out a third at a time, mean before and after",
+               f"{held['before']['mean_m'] * 1e3:.3f}, {held['after']['mean_m'] * 1e3:.3f} mm", "<= 0.20 mm")
+    yield "arm-1: the same command again", f"{tree['repeats']['mean_m'] * 1e3:.4f} mm mean, {tree['repeats']['pairs']} pairs", ""
+    yield "arm-1: findings", ", ".join(f"{f['effect']} at {f['place']}" for f in tree["findings"]), ""
 
 
 def _postures():

@@ -30,9 +30,11 @@ def configurations_of(arm, count, rng):
     return configurations(arm, count, rng, 0.5)
 
 
-def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None):
-    """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command."""
-    q = configurations_of(nominal, count, rng)
+def tracked(true, nominal, count, rng, sigma=(2e-5, 1e-4), common=(0.0, 0.0), deviation=None, again=0):
+    """Samples by an instrument of whole poses; deviation(q) -> (m, n) rad is what the joints do beyond their command; again : how many of
+    the first commands are given a second time, at the end, among the count."""
+    q = configurations_of(nominal, count - again, rng)
+    q = np.concatenate([q, q[:again]])
     scale, shared = (np.repeat(pair, 3) for pair in (sigma, common))
     T = model.predicted(q if deviation is None else q + deviation(q), true)
     T = T * exp(shared * rng.normal(size=6) + scale * rng.normal(size=(count, 6)))

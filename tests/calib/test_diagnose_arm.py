@@ -11,6 +11,7 @@ from calib.diagnose.joint_families import families, moments
 from calib.diagnose.joint_select import findings, select
 from calib.diagnose.unknown import Unknown
 from rig import cli
+from rig import recording as recordings
 from rig.effects.play import play
 from rig.errors import NotEnoughData
 from rig.mechanisms import dynamics
@@ -60,7 +61,7 @@ def test_hidden_effects_are_found_at_their_joints(found):
 def test_sizes_are_those_that_were_hidden(found):
     arms, asked, fit = found
     listed = findings(fit, asked)
-    d = arm.ArmDiagnosis("arm", "poses.csv", arms, fit, fit, listed, len(asked), [], [], [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
+    d = arm.ArmDiagnosis("arm", "poses.csv", arms, UR10, fit, fit, listed, len(asked), [], [], None, [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
     by_name = {arm_result._finding(d, f)["effect"]: arm_result._finding(d, f) for f in listed}
     gap = by_name["backlash"]["parameters"]["gap"]
     assert gap["ci95"][0] <= GAP <= gap["ci95"][1] and gap["ci95"][1] - gap["ci95"][0] < 0.3 * GAP
@@ -106,3 +107,35 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
     assert "scale_error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
     assert "scale_error at joint 4" in capsys.readouterr().out
+
+
+def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    true = arm_worlds.secret(UR10, rng)
+    samples = arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3))
+    arm_worlds.write(tmp_path / "rec", UR10, samples)
+    ask = ["--only", "scale_error"]
+    assert cli.main(["diagnose", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), *ask]) == 0
+    assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "both")]) == 0
+    drawn = {kind: recordings.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
+    apart = {kind: np.linalg.norm(T.translation - samples.T_base_platform.translation, axis=1).mean() for kind, T in drawn.items()}
+    assert apart["with"] < 4 * 2e-5 < 5e-4 < apart["without"]
+    for kind, count in (("with", 1), ("without", 0)):
+        assert cli.main(["diagnose", str(tmp_path / "both" / kind), "--out", str(tmp_path / kind), *ask]) == 0
+        found = json.loads((tmp_path / kind / "diagnosis.json").read_text())["findings"]
+        assert [f["place"] for f in found if f["effect"] == "scale_error"] == ["joint 4"] * count
+    (tmp_path / "out" / "arm.json").write_text("{}")
+    assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 1
+    assert "arm.json" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_real_arms_gears_are_found_and_what_was_not_asked_stays_unknown(shared, tmp_path):
+    assert cli.main(["diagnose", str(shared / "recordings/arm-1"), "--out", str(tmp_path / "out"), "--only", "transmission_error"]) == 0
+    tree = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    named = {f["place"] for f in tree["findings"] if f["effect"] == "transmission_error"}
+    assert named == {f"joint {j}" for j in range(1, 7)} and {f["effect"] for f in tree["findings"]} == {"transmission_error", "unknown"}
+    assert {"joint 2", "joint 3"} <= {f["place"] for f in tree["findings"] if f["effect"] == "unknown"}  # what carries the arm's weight
+    for held in tree["held_out"]:
+        assert held["after"]["mean_m"] < 0.2e-3 < 0.38e-3 < held["before"]["mean_m"]
+    assert 250 < tree["repeats"]["pairs"] < 300 and 2e-5 < tree["fit"]["noise_floor"] < 4e-5 and len(tree["set_aside"]) < 10

@@ -1,0 +1,69 @@
+"""A diagnosed arm's poses drawn anew: the same commands, the arm as it was found, with and without what its joints were found to do."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig import table
+from rig.design_file import load
+from rig.errors import FileError
+from rig.mechanisms import arm as mechanism
+from rig.pose import exp, pose, vector
+from rig.recording import POSE_COLUMNS
+from rig.writing import write_table, write_text
+
+KINDS = ("with", "without")
+COPIED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv")
+
+
+def drawn(folder):
+    """({"with": RigidTransform (n,), "without": the same}, frames (n,), tree of arm.json) of a folder that `rig diagnose` wrote for an arm.
+
+    Raises FileError for files that are missing or malformed
+    """
+    path = folder / "arm.json"
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        arm = replace(load(folder / "rig.toml").mechanism, joints=np.array(tree["joints"], float), base=pose(tree["base"][:3], tree["base"][3:]),
+                      tool=pose(tree["tool"][:3], tree["tool"][3:]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileError(path, f"cannot be read as a diagnosed arm: {error}") from None
+    count = len(arm.joints)
+    names = tuple(f"{letter}{j + 1}" for letter in "qe" for j in range(count))
+    rows = table.read(folder / "joints.csv", ("frame", *names, "growth"))
+    values = rows.matrix((*names, "growth"))
+    q, more, growth = values[:, :count], values[:, count:-1], values[:, -1]
+    frames = rows.whole("frame")
+    return {"with": _poses(q + more, arm, growth), "without": _poses(q, arm, np.zeros(len(q)))}, frames, tree
+
+
+def _poses(q, arm, growth):
+    """RigidTransform (n,) with the links' lengths grown by shares (n,)."""
+    if not growth.any():
+        return mechanism.forward(q, arm)
+    return RigidTransform.concatenate([mechanism.forward(angles, replace(arm, joints=arm.rows * [1, 1 + g, 1 + g, 1, 1]))
+                                       for angles, g in zip(q, growth)])
+
+
+def write(folder, out, rng):
+    """(poses, effects' names): two recordings, out/with and out/without, with the instrument's own noise.
+
+    Both have the same noise, so that they differ by the effects alone. Raises what `drawn` raises
+    """
+    made, frames, tree = drawn(folder)
+    design = load(folder / "rig.toml")
+    instrument = design.instrument
+    sigma = np.repeat([0.0, 0.0] if instrument is None else [instrument.position_sigma, instrument.rotation_sigma or 0.0], 3)
+    noise = rng.normal(size=(len(frames), 6)) * sigma
+    columns = POSE_COLUMNS[: 6 if tree["rotations"] else 3]
+    for kind in KINDS:
+        (out / kind).mkdir(parents=True, exist_ok=True)
+        for name in COPIED:
+            if (folder / name).exists():
+                write_text(out / kind / name, (folder / name).read_text(encoding="utf-8"))
+        rows = vector(made[kind] * exp(noise))[:, : len(columns)]
+        write_table(out / kind / "poses.csv", ("frame", *columns),
+                    [",".join([str(frame), *(f"{x:.10f}" for x in row)]) for frame, row in zip(frames, rows)])
+    return len(frames), tree["effects"]
