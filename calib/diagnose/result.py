@@ -58,9 +58,9 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     signatures = Signatures(knowledge)
     selection = select(knowledge, asked, signatures, progress)
     left = unknowns(_bare(selection.settled))
-    kept = supported(selection, asked, signatures, left)
-    if kept is not selection:
-        selection, left = kept, unknowns(_bare(kept.settled))
+    if left:
+        selection = supported(selection, asked, signatures, left)
+        left = unknowns(_bare(selection.settled))
     selection = unlogged(selection, asked, signatures)
     plane = "struts" if knowledge.axes else "view"
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.planes import Column, linearise
+from calib.diagnose.planes import linearise
 from calib.diagnose.prove import prove
 from calib.diagnose.search import column_of, search
 from calib.diagnose.settle import Settled, admit, settle, tangents
@@ -19,7 +19,6 @@ COSINE = 0.99  # between signatures, freedoms taken out, from which two are the 
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
-BEATEN = 0.005  # of what a finding explains; a smooth function without a name must do better by as much to beat it
 BEYOND = 1.5  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
 
@@ -82,7 +81,7 @@ def select(knowledge, families, signatures, progress=None):
 
 def _beyond(planes, best):
     """Whether something that no name explains is larger than what the best name would."""
-    return any(u.gain(planes.size) > BEYOND * best.gain(planes.size) for u in unknowns(planes))
+    return any(u.gain(planes.size) > BEYOND * best.gain(planes.size) for u in unknowns(planes) if u.dispersion)
 
 
 def convincing(score, count, size):
@@ -136,39 +135,21 @@ def _confirm(settled, chosen, families, signatures, progress):
 
 
 def supported(selection, families, signatures, left):
-    """Selection without findings whose name does not stand: which a smooth function that nobody named beats at the same place; and, where
-    something is left unexplained, which smooth functions of the same would explain as well, or which explain less than they leave at
-    their place. left : [Unknown]"""
+    """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
+    as well, or which explain less than they leave at their place. left : [Unknown]"""
     settled, kept = selection.settled, []
     for f in selection.findings:
-        planes = beside(settled, f.number)
-        alone, place = freed(planes, signatures), f.score.family.place
-        own = explained(settled, f.number, alone)
-        gains = [u.drop * u.dispersion - u.freedom * np.log(planes.size) for u in unknowns(alone) if u.dispersion and u.within(place)]
-        if max(gains, default=0.0) > own - f.score.freedom * np.log(planes.size) + max(ALIKE, BEATEN * own):
+        if any(u.drop > f.score.drop for u in left if u.depends_on and u.within(f.score.family.place)):
             continue
-        if left:
-            if any(u.drop > f.score.drop for u in left if u.within(place)):
-                continue
-            planes = freed(covered(planes, *cover(planes, left)), signatures)
-            if not convincing(search(planes, [f.score.family], signatures.at(planes.knowledge))[0], len(families), planes.size):
-                continue
-        kept.append(f)
+        planes = beside(settled, f.number)
+        planes = freed(covered(planes, *cover(planes, left)), signatures)
+        if convincing(search(planes, [f.score.family], signatures.at(planes.knowledge))[0], len(families), planes.size):
+            kept.append(f)
     if len(kept) == len(selection.findings):
         return selection
     numbers = sorted(f.number for f in kept)
     settled = settle(settled.knowledge.with_effects([settled.knowledge.effects[i] for i in numbers]), signatures)
     return replace(selection, settled=settled, findings=[replace(f, number=numbers.index(f.number)) for f in kept])
-
-
-def explained(settled, number, alone):
-    """Drop in the whitened sum of squares that an admitted effect as settled, its size left free, brings to Planes without it."""
-    k, effect = alone.knowledge, settled.knowledge.effects[number]
-    both = (*k.effects, effect)
-    struts = alone.nothing(1) if not k.axes else alone.whitened((k.effective(both) - k.effective())[..., None])
-    seen = Column(None, struts) if k.seen is None else alone.fold((k.pixels(both) - k.pixels())[..., None])
-    _, b, G = alone.project(Column(seen.image, struts + seen.struts if seen.image is not None else struts))
-    return float(b[0] ** 2 / max(G[0, 0], 1e-300))
 
 
 def beside(settled, number):

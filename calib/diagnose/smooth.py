@@ -106,7 +106,7 @@ def cover(planes, left):
     at all markers where it is one, else at the cameras themselves."""
     k = planes.knowledge
     weights = {depends: strutwise for depends, strutwise in strut_weights(k) if len(strutwise) == k.axes} if k.axes else {}  # the finest of each
-    named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith("strut") for d in u.depends_on}
+    named = {"pose" if d.endswith("position") else d for u in left if u.place.startswith(("strut", "rig")) for d in u.depends_on}
     parts = [w for d in sorted(named & weights.keys()) for _, w in weights[d]]
     pixels = []
     for u in left:

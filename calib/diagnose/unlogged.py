@@ -7,7 +7,7 @@ import numpy as np
 from calib.diagnose.hypotheses import Family
 from calib.diagnose.planes import Column
 from calib.diagnose.scan import Score
-from calib.diagnose.select import Rival, beside, convincing, explained, freed
+from calib.diagnose.select import Rival, beside, convincing, freed
 from calib.diagnose.search import search
 from calib.diagnose.settle import joined
 from calib.diagnose.smooth import SLOW, cosines
@@ -32,7 +32,7 @@ def unlogged(selection, families, signatures):
     for f in selection.findings:
         planes, rivals = beside(settled, f.number), list(f.rivals)
         alone = freed(planes, signatures)
-        own = explained(settled, f.number, alone)
+        own = f.score.drop * f.score.dispersion
         for kind, name, step in kinds:
             column = _courses(planes, kind, name, step)
             warm = freed(planes.without(column), signatures)
