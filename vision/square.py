@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from vision.cholesky import factor, solve
-from vision.edges import edge_pixels, homography, misread, straighten
+from vision.edges import REACH, edge_pixels, homography, misread, straighten
 from vision.jit import kernel
 from vision.local_lens import to_image
-from vision.pattern import edge, pattern
+from vision.pattern import edge, pattern, wide_pattern
 
 UNKNOWNS = 15
 ROWS = 16  # the unknowns and the residual: one row each of what is multiplied out
@@ -55,7 +55,11 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
                 Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
                 Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                p, dX, dY, dB = pattern(cells, i, j, X, Y, s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), table_x, table_y)
+                sx, sy, rho = s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay)
+                if REACH * max(sx, sy) > 1:
+                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y)
+                else:
+                    p, dX, dY, dB = pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y)
             elif abs(kind) == 1:
                 Xx, Xy = g00 - X * g20, g01 - X * g21
                 Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
