@@ -2,7 +2,7 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from rig.errors import FileError
 from rig.recording import Corners
 from vision.detect import detect, grey, place
+from vision.observations import correlation_of
 from vision.predict import expected
 from vision.spread import PLAIN, Spread, empty_profile, learn
 
@@ -21,13 +22,15 @@ FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is no
 @dataclass(frozen=True, slots=True, eq=False)
 class Collected:
     """Corners of all images; left_out : (frame, camera, identity, reason) of markers read but not placed;
-    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers; spread : {camera: Spread} learnt from its images."""
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers; spread : {camera: Spread} learnt from its images
+    correlation : (n, 2, 8) of the corners, see Observations."""
 
     corners: Corners
     left_out: list[tuple[int, str, int, str]]
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
     spread: dict[str, Spread]
+    correlation: np.ndarray | None = None
 
 
 def read_image(path):
@@ -78,8 +81,8 @@ def collect(recording, marker_map, progress=None):
 
     found = _in_parallel(one, work, progress)
     left_out = [(int(frame), camera.name, number, reason) for (frame, camera, _), d in zip(work, found) for number, reason in d.left_out]
-    return Collected(_corners([(frame, camera.name, d) for (frame, camera, _), d in zip(work, found)]), left_out,
-                     _by_camera(work, found, "blur"), _by_camera(work, found, "noise"), spread)
+    corners, correlation = _corners([(frame, camera.name, d) for (frame, camera, _), d in zip(work, found)])
+    return Collected(corners, left_out, _by_camera(work, found, "blur"), _by_camera(work, found, "noise"), spread, correlation)
 
 
 def learn_spread(read, names, camera, marker_map):
@@ -131,9 +134,9 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
         at = [numbers.tolist().index(number) for number in d.marker]
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
-        found.append((frame, camera.name, d, near))
-    extra = _corners([(frame, name, d) for frame, name, d, _ in found], [near for *_, near in found])
-    return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise, collected.spread)
+        found.append((frame, camera.name, d.take(near)))
+    extra, correlation = _corners(found)
+    return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
 
 def _in_parallel(one, work, progress):
@@ -156,20 +159,17 @@ def _in_parallel(one, work, progress):
         cv2.setNumThreads(threads)
 
 
-def _corners(found, keep=None):
-    """Corners of (frame, camera name, Detection) rows; keep : per row, which of its markers (all by default)."""
-    frame, camera, marker, uv, covariance = [], [], [], [], []
-    for k, (number, name, d) in enumerate(found):
-        for i in np.flatnonzero(keep[k]) if keep is not None else range(len(d.marker)):
-            for c in range(4):
-                frame.append(number)
-                camera.append(name)
-                marker.append(d.marker[i])
-                uv.append(d.corners[i, c])
-                covariance.append(d.covariance[i, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2])
-    count = len(frame)
-    return Corners(np.array(frame, int), camera, np.array(marker, int), np.tile(np.arange(4), count // 4),
-                   np.array(uv).reshape(-1, 2), np.array(covariance).reshape(-1, 2, 2))
+def _corners(found):
+    """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
+    sizes = [len(d.marker) for *_, d in found]
+    covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
+    own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
+    names = [name for (_, name, _), size in zip(found, sizes) for _ in range(4 * size)]
+    marker = np.concatenate([d.marker for *_, d in found] or [np.zeros(0, int)])
+    uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
+    frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
+    return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
+            correlation_of(covariance).reshape(-1, 2, 8))
 
 
 def _joined(a, b):

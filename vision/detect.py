@@ -45,6 +45,11 @@ class Detection:
     contrast: np.ndarray
     left_out: tuple[tuple[int, str], ...]
 
+    def take(self, index):
+        """The same with only the markers of an index or mask (m,)."""
+        return Detection(self.marker[index], self.corners[index], self.covariance[index], self.blur[index], self.noise[index],
+                         self.contrast[index], self.left_out)
+
 
 def grey(image, reader=True):
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
