@@ -215,7 +215,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
         if not homography(quads[m], lens, centres[m], n, g) or not _corners(g, n, corners[m], J):
             status[m] = WANDERED
             continue
-        limit, away, collected, part, used, every = 1e9, 1e9, s, 0, 0, 1
+        limit, away, collected, part, used, every, whole = 1e9, 1e9, s, 0, 0, 1, False
         status[m] = UNSETTLED
         for iteration in range(iterations):
             if away > STRAYED or s > WIDENED * collected:
@@ -227,7 +227,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
                     status[m] = NO_PIXELS
                     break
                 away, collected, every = 0.0, s, max(count // SAMPLE, 1)
-                part = 1 if every > 1 else 0
+                part = 1 if every > 1 and not whole else 0  # a sample's optimum may lie far enough off to come back to for ever
                 for k in range(0, count if part else 0, every):
                     points[1, k // every], greys[1, k // every], places[1, k // every] = points[0, k], greys[0, k], places[0, k]
             used = (count + every - 1) // every if part else count
@@ -258,7 +258,8 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             results[m, 1], results[m, 2], results[m, 3] = light[0] - light[3], used, doubted / used
             results[m, 4], results[m, 5] = s, iteration
             if part:
-                part = 0 if moved < NEAR and widened < 0.1 * s else 1
+                whole = moved < NEAR and widened < 0.1 * s
+                part = 0 if whole else 1
             elif moved < NEAR and widened < 0.05 * s and away < STRAYED and s <= WIDENED * collected:
                 if not _corners(g, n, corners[m], J):
                     status[m] = WANDERED
