@@ -24,6 +24,7 @@ ROWS = 16  # the unknowns and the residual: one row each of what is multiplied o
 CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's first cache
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
+SATURATED = 254.5  # 255ths of white; a brighter pixel says only that there is at least so much light
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
 NEAR = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
@@ -84,6 +85,8 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
                 root = limit / abs(r)
                 root *= math.sqrt(root)
                 doubted += 1
+            if greys[start + k] > SATURATED and r < 0:
+                root = 0.0  # it may be brighter than it can say
             weights += root * root
             contrast = (white - black) * root
             dX, dY, dB, p, q = dX * w * contrast, dY * w * contrast, dB * contrast, p * root, q * root
