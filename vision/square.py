@@ -34,15 +34,15 @@ OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
 @kernel
 def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table_y, light, lit, limit, rows, keep, H, sizes):
-    """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted).
+    """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted, told).
 
     points, greys, places : of `edge_pixels`, the first `count`; slope : (2, 2) of the lens in the middle, image to ideal
     limit : grey levels, of a trusted residual; rows : (chunks, ROWS, CHUNK) J, chunk by chunk where they are to be kept, else all in the first
-    sizes : (count,) out, |residual|
+    sizes : (count,) out, |residual| of the first `told`, which are not saturated
     While it is not lit only the greys' part of J is of use.
     """
     H[:] = 0
-    weights, doubted = 0.0, 0
+    weights, doubted, told = 0.0, 0, 0
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
     s00, s01, s10, s11 = slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1]
     for start in range(0, count, CHUNK):
@@ -80,13 +80,15 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
             white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
             q, root = 1 - p, 1.0
             r = greys[start + k] - white * p - black * q
-            sizes[start + k] = abs(r)
-            if lit and abs(r) > limit:
-                root = limit / abs(r)
-                root *= math.sqrt(root)
-                doubted += 1
             if greys[start + k] > SATURATED and r < 0:
                 root = 0.0  # it may be brighter than it can say
+            else:
+                sizes[told] = abs(r)
+                told += 1
+                if lit and abs(r) > limit:
+                    root = limit / abs(r)
+                    root *= math.sqrt(root)
+                    doubted += 1
             weights += root * root
             contrast = (white - black) * root
             dX, dY, dB, p, q = dX * w * contrast, dY * w * contrast, dB * contrast, p * root, q * root
@@ -106,7 +108,7 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
     for i in range(ROWS):
         for j in range(i):
             H[i, j] = H[j, i]
-    return weights, doubted
+    return weights, doubted, told
 
 
 @kernel
@@ -201,7 +203,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
     for m in range(len(boxes)):
         largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
     points, greys, places = np.empty((2, largest, 2), np.float32), np.empty((2, largest), np.float32), np.empty((2, largest, 3), np.int32)
-    sizes, rows = np.empty(largest, np.float32), np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32)
+    sizes, rows = np.zeros(largest, np.float32), np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32)
     H, L, x, J = np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8))
     sums = np.empty((2, n + 5, n + 5, 2))
     g, light, slope = np.empty((3, 3)), np.empty(6), np.empty((2, 2))
@@ -238,7 +240,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             while level < len(levels) and s > levels[level]:
                 level += 1
             table_x, table_y = tables[level, directions[m, 0]], tables[level, directions[m, 1]]
-            weights, doubted = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
+            weights, doubted, told = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
                                            limit, rows, part == 0, H, sizes)
             if not lit:
                 lit = True
@@ -257,7 +259,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             widened, s = abs(s_new - s), s_new
             away += moved
             if part or limit > 1e8:
-                limit = TRUSTED * max(1.4826 * np.median(sizes[:used]), FINEST)
+                limit = TRUSTED * max(1.4826 * np.median(sizes[: max(told, 1)]), FINEST)
             results[m, 1], results[m, 2], results[m, 3] = light[0] - light[3], used, doubted / used
             results[m, 4], results[m, 5] = s, iteration
             if part:

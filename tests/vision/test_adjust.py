@@ -13,7 +13,7 @@ from tests.vision.scenes import known, scene
 from vision.adjust import adjust
 from vision.determined import determined
 from vision.normal import linearise
-from vision.observations import whitener
+from vision.observations import correlation_of, whitener
 from vision.predict import State, predict
 from vision.targets import marker_map
 from vision.unknowns import TERM_PRIOR, aligned, move, offset, unknowns
@@ -44,9 +44,13 @@ def with_markers(state, design, size=1e-3):
 
 
 @pytest.mark.parametrize("free", [("poses", "lenses"), EVERYTHING, ("markers",), ("targets",)])
-@pytest.mark.parametrize("moving", [False, True])
-def test_jacobian_agrees_with_differences(setting, moving, free):
+@pytest.mark.parametrize("moving, correlated", [(False, False), (True, False), (False, True)])
+def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     observations, stated, true, T = setting
+    if correlated:
+        root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
+        observations = replace(observations, correlation=correlation_of(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8))
+        observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
     if moving:
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
