@@ -58,8 +58,8 @@ def collect(recording, marker_map, progress=None):
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
     Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the
-    places are read where markers ought to be; where one of them is not, and in every image of a rig that is not as it is stated,
-    the whole image is searched.
+    places are read where markers ought to be. The whole image is searched after all where half a body's markers are not there, where
+    another marker is in the place of one that is not, and on a rig that is not as it is stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
     e, design = recording.exposures, recording.design
@@ -92,7 +92,7 @@ def collect(recording, marker_map, progress=None):
         image = _image(recording, camera, name)
         if adjusted is None:
             return detect(image, camera, marker_map, spread[camera.name])
-        return detect(image, adjusted, marker_map, spread[camera.name], T, believed=1.0)
+        return detect(image, adjusted, marker_map, spread[camera.name], T, doubtful=True)
 
     if known is None or known.commanded:
         found.update(zip(rest, _in_parallel(lambda k: one(k, known and known.commanded.get(work[k][0])), rest, tell)))

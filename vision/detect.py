@@ -17,6 +17,7 @@ REACH = 3.0  # px from where the reader or a prediction puts them within which t
 SMALLEST_CELL = 2.5  # px across, below which cells run together
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
 EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
+AROUND = 0.5  # of a marker's extent, to each side of where it is expected and not read, that is searched for any other
 BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
 MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
 COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
@@ -79,24 +80,38 @@ def dictionary_reader(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, believed=BELIEVED):
+def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtful=False):
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
     marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
     T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
-    markers ought to be; where less than a share `believed` of a body's show their bits, the whole image is searched after all.
+    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all
+    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not as stated
     Returns Detection
     """
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
         found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
         on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(number for number, _ in found.left_out)])
-        if len(rows) and all(read[body].sum() >= believed * body.sum() for body in (on, ~on)):
+        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
+                doubtful and _others(image, marker_map, rows[~read], places[~read])):
             return found
     eight, full = grey(image)
     numbers, guess, left_out = search(eight, marker_map)
     return place(full, camera, marker_map, numbers, guess, left_out, spread)
+
+
+def _others(image, marker_map, rows, places):
+    """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a little way off."""
+    for row, quad in zip(rows, places):
+        around = AROUND * np.ptp(quad, axis=0).max()
+        (x0, y0), (x1, y1) = np.maximum(quad.min(axis=0) - around, 0).astype(int), (quad.max(axis=0) + around).astype(int) + 1
+        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey(image[y0:y1, x0:x1])[0]))
+        middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
+        if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
+            return True
+    return False
 
 
 def search(eight, marker_map):

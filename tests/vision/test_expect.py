@@ -92,18 +92,27 @@ def test_poses_are_the_same_and_right(drawn):
     assert np.abs(difference(m.T_base_platform, T)[:, :3]).max() < 5e-4
 
 
-def test_a_marker_that_is_not_where_it_is_expected_has_its_image_searched(drawn, searches, tmp_path):
+@pytest.mark.parametrize("case, searched", [("hidden", 0), ("turned", 1), ("another", 1), ("half of them hidden", 1)])
+def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, searches, tmp_path, case, searched):
     recording, T = drawn
     taught = {round(k) for k in np.linspace(0, FRAMES - 1, LEARN_FROM)}
-    hidden = next(k for k in range(FRAMES) if k not in taught)
+    odd = next(k for k in range(FRAMES) if k not in taught)
     for k in range(FRAMES):
         image = cv2.imread(str(recording.folder / f"{k}.png"), cv2.IMREAD_UNCHANGED)
-        if k == hidden:
-            _, places = expect_places(recording, T[k])
-            cv2.fillConvexPoly(image, places[0].astype(np.int32), 120)
+        rows, places = expect_places(recording, T[k])
+        first = places[0].astype(np.int32)
+        (x0, y0), (x1, y1) = first.min(axis=0) - 12, first.max(axis=0) + 13
+        if k == odd and case == "turned":
+            image[y0:y1, x0:x1] = image[y0:y1, x0:x1][::-1, ::-1].copy()
+        elif k == odd and case == "another":
+            write(tmp_path, recording.design, T, np.random.default_rng(0), {int(marker_map(recording.design).id[rows[0]]): 97}, [k])
+            continue
+        elif k == odd:
+            for place in places[: 1 if case == "hidden" else 3]:
+                cv2.fillConvexPoly(image, place.astype(np.int32), 120)
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     found = collect(replace(recording, folder=tmp_path), marker_map(recording.design))
-    assert len(searches) == LEARN_FROM + 1 and found.left_out == []
+    assert len(searches) == LEARN_FROM + searched and found.left_out == []
 
 
 def expect_places(recording, T):
