@@ -11,6 +11,7 @@ import numpy as np
 
 from rig.errors import NotEnoughData, RigError
 from vision.normal import linearise, normal_equations, reduce, step
+from vision.observations import whitener
 from vision.predict import State, predict
 from vision.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
 
@@ -63,20 +64,20 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     """
     stated = state if stated is None else stated
     u, estimate = unknowns(observations, state, stated, free, worth)
-    whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
+    W = whitener(observations)
     if 2 * len(observations) < int(u.used.sum()) + 6 * len(u.poses):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
     damping, cost, blocks = 0.0, None, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
-            residual, derivatives = linearise(observations, estimate, u, whitener)
+            residual, derivatives = linearise(observations, estimate, u, W)
             away = offset(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum())
             blocks = normal_equations(observations, derivatives, residual, u, away)
             if progress:
                 progress(cost)
         moved = move(estimate, u, *step(blocks, u, damping))
-        new = cost_of(observations, moved, stated, u, whitener)
+        new = cost_of(observations, moved, stated, u, W)
         if not new <= cost * (1 + 1e-12):
             damping = max(10 * damping, 1e-6)
             if damping > 1e8:
@@ -88,20 +89,19 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
             break
     else:
         raise RigError(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return _finish(observations, to_datums(estimate, stated, u), stated, u, whitener, tuple(free))
+    return _finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free))
 
 
-def cost_of(observations, estimate, stated, unknowns, whitener):
-    """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera."""
+def cost_of(observations, estimate, stated, unknowns, W):
+    """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
     uv, ahead = predict(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
         return np.inf
-    whitened = (whitener @ (observations.uv - uv)[..., None])[..., 0]
-    return float((whitened**2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
+    return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
 
 
-def _finish(observations, estimate, stated, u, whitener, free):
-    residual, derivatives = linearise(observations, estimate, u, whitener)
+def _finish(observations, estimate, stated, u, W, free):
+    residual, derivatives = linearise(observations, estimate, u, W)
     away = offset(estimate, stated, u)
     blocks = normal_equations(observations, derivatives, residual, u, away)
     gain, reduced, _ = reduce(blocks)

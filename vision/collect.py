@@ -2,14 +2,16 @@
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from rig.errors import FileError
 from rig.recording import Corners
-from vision.detect import detect, grey, place
+from vision import expect
+from vision.detect import detect, grey, place, search
+from vision.observations import correlation_of
 from vision.predict import expected
 from vision.spread import PLAIN, Spread, empty_profile, learn
 
@@ -20,10 +22,12 @@ FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is no
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Collected:
-    """Corners of all images; left_out : (frame, camera, identity, reason) of markers read but not placed;
-    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers; spread : {camera: Spread} learnt from its images."""
+    """Corners of all images; correlation : (n, 2, 8) of them, see Observations
+    left_out : (frame, camera, identity, reason) of markers read but not placed; spread : {camera: Spread} learnt from its images
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
 
     corners: Corners
+    correlation: np.ndarray | None
     left_out: list[tuple[int, str, int, str]]
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
@@ -53,42 +57,92 @@ def image_reader(recording):
 def collect(recording, marker_map, progress=None):
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
+    Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the
+    places are read where markers ought to be. The whole image is searched after all where half a body's markers are not there, where
+    another marker is in the place of one that is not, and on a rig that is not as it is stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
-    rows = [i for i, name in enumerate(recording.exposures.image) if name]
-    work = [(recording.exposures.frame[i], recording.design.camera(recording.exposures.camera[i]), recording.exposures.image[i]) for i in rows]
+    e, design = recording.exposures, recording.design
+    work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
+    tell, found = _counter(progress, len(work)), {}
+    taught = sorted({k for camera in {camera.name for _, camera, _ in work} for k in _some([i for i, w in enumerate(work) if w[1].name == camera])})
 
-    def read(camera, name):
-        image = read_image(recording.folder / name)
-        if image.shape[:2] != (camera.height, camera.width):
-            raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
-                            f"{camera.width} x {camera.height} px")
-        return image
+    def searched(k):
+        _, camera, name = work[k]
+        eight, full = grey(_image(recording, camera, name))
+        return full, *search(eight, marker_map)
 
-    cameras = {camera.name: camera for _, camera, _ in work}
-    spread = {}
-    for camera in cameras.values():
-        names = [name for _, other, name in work if other is camera]
-        some = sorted({names[round(k)] for k in np.linspace(0, len(names) - 1, min(LEARN_FROM, len(names)))})
-        spread[camera.name] = learn_spread(lambda name, camera=camera: read(camera, name), some, camera, marker_map)
+    whole = dict(zip(taught, _in_parallel(searched, taught, None)))
+    spread = {camera.name: _spread({k: whole[k] for k in taught if work[k][1] is camera}, camera, marker_map) for camera in
+              {work[k][1].name: work[k][1] for k in taught}.values()}
 
-    def one(item):
-        _, camera, name = item
-        return detect(read(camera, name), camera, marker_map, spread[camera.name])
+    def placed(k):
+        full, numbers, guess, left_out = whole[k]
+        return place(full, work[k][1], marker_map, numbers, guess, left_out, spread[work[k][1].name])
 
-    found = _in_parallel(one, work, progress)
-    left_out = [(int(frame), camera.name, number, reason) for (frame, camera, _), d in zip(work, found) for number, reason in d.left_out]
-    return Collected(_corners([(frame, camera.name, d) for (frame, camera, _), d in zip(work, found)]), left_out,
-                     _by_camera(work, found, "blur"), _by_camera(work, found, "noise"), spread)
+    found.update(zip(taught, _in_parallel(placed, taught, tell)))
+    whole.clear()
+    rest = [k for k in range(len(work)) if k not in found]
+    rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
+    known = expect.taught(recording, *_corners(rows), _left_out(rows), marker_map) if len(rest) > len(taught) else None
+
+    def one(k, T=None):
+        _, camera, name = work[k]
+        adjusted = known.camera(camera.name) if known and T is not None else None
+        image = _image(recording, camera, name)
+        if adjusted is None:
+            return detect(image, camera, marker_map, spread[camera.name])
+        return detect(image, adjusted, marker_map, spread[camera.name], T, doubtful=True)
+
+    if known is None or known.commanded:
+        found.update(zip(rest, _in_parallel(lambda k: one(k, known and known.commanded.get(work[k][0])), rest, tell)))
+    else:
+        found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
+    rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
+    return Collected(*_corners(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
 
 
-def learn_spread(read, names, camera, marker_map):
-    """Spread of a camera's edges from some of its images. read : called with each of names, returns the image."""
-    def first(name):
-        image = grey(read(name))
-        return image, detect(image[0], camera, marker_map)
+def _image(recording, camera, name):
+    image = read_image(recording.folder / name)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
+                        f"{camera.width} x {camera.height} px")
+    return image
 
-    seen = [(full, d.marker, d.corners) for (_, full), d in _in_parallel(first, names, None) if len(d.marker)]
+
+def _some(indices):
+    """Those of a camera's images that teach."""
+    return [indices[round(k)] for k in np.linspace(0, len(indices) - 1, min(LEARN_FROM, len(indices)))]
+
+
+def _one_after_the_other(work, rest, found, one, known, design, tell):
+    """{index: Detection} of images frame by frame, each expected where the frame before was."""
+    out, last = {}, None
+    for frame in sorted({frame for frame, *_ in work}):
+        own = [k for k, (number, *_) in enumerate(work) if number == frame]
+        fresh = [k for k in own if k in rest]
+        out.update(zip(fresh, _in_parallel(lambda k, T=last: one(k, T), fresh, tell)))
+        last = known.locate(_corners([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
+    return out
+
+
+def _counter(progress, total):
+    """A progress that goes on counting where the one before has ended."""
+    done = iter(range(1, total + 1))
+    return (lambda *_: progress(next(done), total)) if progress else None
+
+
+def _left_out(rows):
+    return [(frame, name, number, reason) for frame, name, d in rows for number, reason in d.left_out]
+
+
+def _spread(searched, camera, marker_map):
+    """Spread of a camera's edges. searched : {image: (full, identities, corners to a pixel or so, left out)}"""
+    def first(item):
+        full, numbers, guess, _ = item
+        return full, place(full, camera, marker_map, numbers, guess)
+
+    seen = [(full, d.marker, d.corners) for full, d in _in_parallel(first, list(searched.values()), None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
         def again(item, spread=spread):
@@ -131,9 +185,9 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
         at = [numbers.tolist().index(number) for number in d.marker]
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
-        found.append((frame, camera.name, d, near))
-    extra = _corners([(frame, name, d) for frame, name, d, _ in found], [near for *_, near in found])
-    return Collected(_joined(collected.corners, extra), collected.left_out, collected.blur, collected.noise, collected.spread)
+        found.append((frame, camera.name, d.take(near)))
+    extra, correlation = _corners(found)
+    return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
 
 def _in_parallel(one, work, progress):
@@ -156,20 +210,17 @@ def _in_parallel(one, work, progress):
         cv2.setNumThreads(threads)
 
 
-def _corners(found, keep=None):
-    """Corners of (frame, camera name, Detection) rows; keep : per row, which of its markers (all by default)."""
-    frame, camera, marker, uv, covariance = [], [], [], [], []
-    for k, (number, name, d) in enumerate(found):
-        for i in np.flatnonzero(keep[k]) if keep is not None else range(len(d.marker)):
-            for c in range(4):
-                frame.append(number)
-                camera.append(name)
-                marker.append(d.marker[i])
-                uv.append(d.corners[i, c])
-                covariance.append(d.covariance[i, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2])
-    count = len(frame)
-    return Corners(np.array(frame, int), camera, np.array(marker, int), np.tile(np.arange(4), count // 4),
-                   np.array(uv).reshape(-1, 2), np.array(covariance).reshape(-1, 2, 2))
+def _corners(found):
+    """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
+    sizes = [len(d.marker) for *_, d in found]
+    covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
+    own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
+    names = [name for (_, name, _), size in zip(found, sizes) for _ in range(4 * size)]
+    marker = np.concatenate([d.marker for *_, d in found] or [np.zeros(0, int)])
+    uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
+    frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
+    return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
+            correlation_of(covariance).reshape(-1, 2, 8))
 
 
 def _joined(a, b):
@@ -177,6 +228,6 @@ def _joined(a, b):
                    np.concatenate([a.uv, b.uv]), np.concatenate([a.covariance, b.covariance]))
 
 
-def _by_camera(work, found, what):
-    names = list(dict.fromkeys(camera.name for _, camera, _ in work))
-    return {name: np.concatenate([getattr(d, what) for (_, camera, _), d in zip(work, found) if camera.name == name]) for name in names}
+def _by_camera(rows, what):
+    names = list(dict.fromkeys(name for _, name, _ in rows))
+    return {name: np.concatenate([getattr(d, what) for _, other, d in rows if other == name]) for name in names}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.normal import linearise, normal_equations, reduce
-from vision.observations import only
+from vision.observations import only, whitener
 from vision.unknowns import offset, unknowns
 
 FOLDS = 10
@@ -48,7 +48,7 @@ def crossvalidate(observations, adjustment, folds=FOLDS):
         frames = np.flatnonzero(stretch == fold)
         part, own_u = only(observations, frames), replace(u, used=u.used[frames])
         residual, derivatives = linearise(part, replace(estimate, state=estimate.state.at(frames)), own_u,
-                                          np.linalg.inv(np.linalg.cholesky(part.covariance)))
+                                          whitener(part))
         blocks = normal_equations(part, derivatives, residual, own_u, np.zeros(u.shared))
         gain, reduced, right = reduce(blocks)
         own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))

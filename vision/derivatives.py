@@ -7,20 +7,33 @@ from vision import lens
 from vision.predict import base_points, by_camera, in_camera
 
 
+def seen(observations, state):
+    """Yield (camera index, rows, uv (m, 2) px, J_base (m, 2, 3), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms)) for each camera that sees.
+
+    J_base : to the corner's place in the base frame, px/m; J_camera : to a small motion of the camera on the right (px/m, px/rad)
+    """
+    base = base_points(observations, state)
+    for i, camera, rows in by_camera(observations, state):
+        frame = observations.frame[rows]
+        ahead = in_camera(base[rows], frame, state, i)
+        uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
+        R_camera = state.moving[i].rotation.as_matrix()[frame] if i in state.moving else camera.pose.rotation.as_matrix()
+        yield i, rows, uv, J_point @ np.swapaxes(R_camera, -1, -2), np.concatenate([-J_point, J_point @ skew(ahead)], axis=-1), J_lens
+
+
+def moved(J, points):
+    """(n, 2, 6) derivative to a small motion on the right, from that to the point (n, 2, 3) and the point (n, 3) it moves."""
+    return np.concatenate([J, -(J @ skew(points))], axis=-1)
+
+
 def derivatives(observations, state):
     """[(camera index, rows, J_platform (m, 2, 6), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms))] for each camera that sees something.
 
     observations : Observations; state : State. Tangents stand on the right (px/m, px/rad); J_platform is zero on base markers
     """
-    base, R_platform = base_points(observations, state), state.platform.rotation.as_matrix()
-    out = []
-    for i, camera, rows in by_camera(observations, state):
-        frame, on = observations.frame[rows], observations.on_platform[rows]
-        ahead = in_camera(base[rows], frame, state, i)
-        _, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
-        R_camera = state.moving[i].rotation.as_matrix()[frame] if i in state.moving else camera.pose.rotation.as_matrix()
-        J_platform = np.zeros((len(frame), 2, 6))
-        J_platform[on, :, :3] = (J_point @ (np.swapaxes(R_camera, -1, -2) @ R_platform[frame]))[on]
-        J_platform[on, :, 3:] = -(J_platform[on, :, :3] @ skew(observations.points[rows][on]))
-        out.append((i, rows, J_platform, np.concatenate([-J_point, J_point @ skew(ahead)], axis=-1), J_lens))
+    R_platform, out = state.platform.rotation.as_matrix(), []
+    for i, rows, _, J_base, J_camera, J_lens in seen(observations, state):
+        on = observations.on_platform[rows][:, None, None]
+        J_platform = np.where(on, moved(J_base @ R_platform[observations.frame[rows]], observations.points[rows]), 0.0)
+        out.append((i, rows, J_platform, J_camera, J_lens))
     return out

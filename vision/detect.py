@@ -17,14 +17,16 @@ REACH = 3.0  # px from where the reader or a prediction puts them within which t
 SMALLEST_CELL = 2.5  # px across, below which cells run together
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
 EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
+AROUND = 0.5  # of a marker's extent, to each side of where it is expected and not read, that is searched for any other
 BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
 MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
 COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
+_UNREAD = "its bits are not to be read where it is expected"
 _REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
             square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
-            square.NOT_READ: "its bits are not to be read where it is expected"}
+            square.NOT_READ: _UNREAD}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +46,11 @@ class Detection:
     noise: np.ndarray
     contrast: np.ndarray
     left_out: tuple[tuple[int, str], ...]
+
+    def take(self, index):
+        """The same with only the markers of an index or mask (m,)."""
+        return Detection(self.marker[index], self.corners[index], self.covariance[index], self.blur[index], self.noise[index],
+                         self.contrast[index], self.left_out)
 
 
 def grey(image, reader=True):
@@ -73,22 +80,42 @@ def dictionary_reader(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None):
+def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtful=False):
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
     marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
     T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
-    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all.
+    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all
+    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not as stated
     Returns Detection
     """
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
         found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
-        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], found.marker)
-        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)):
+        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(number for number, _ in found.left_out)])
+        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
+                doubtful and _others(image, marker_map, rows[~read], places[~read])):
             return found
     eight, full = grey(image)
+    numbers, guess, left_out = search(eight, marker_map)
+    return place(full, camera, marker_map, numbers, guess, left_out, spread)
+
+
+def _others(image, marker_map, rows, places):
+    """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a little way off."""
+    for row, quad in zip(rows, places):
+        around = AROUND * np.ptp(quad, axis=0).max()
+        (x0, y0), (x1, y1) = np.maximum(quad.min(axis=0) - around, 0).astype(int), (quad.max(axis=0) + around).astype(int) + 1
+        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey(image[y0:y1, x0:x1])[0]))
+        middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
+        if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
+            return True
+    return False
+
+
+def search(eight, marker_map):
+    """(identities (m,), corners (m, 4, 2) px to a pixel or so, [(identity, reason)] of those seen twice) in an image (height, width) uint8."""
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
         corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
@@ -100,7 +127,7 @@ def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None):
     for number in [number for number, quads in found.items() if len(quads) > 1]:
         left_out.append((number, f"seen {len(found.pop(number))} times in one image"))
     numbers = sorted(found)
-    return place(full, camera, marker_map, numbers, np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out, spread)
+    return np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out
 
 
 def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, reach=REACH, verify=False, profile=None):
@@ -108,7 +135,8 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, r
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
-    verify : whether a marker's bits are read before it is believed to be there; profile : see vision.spread, added to
+    verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of it
+    profile : see vision.spread, added to
     """
     guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
@@ -120,7 +148,7 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, r
         margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
         cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
         good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, reach, verify, profile)
-        left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason]
+        left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
         parts.append((numbers[index[good]], *columns))
     if not parts:
         empty = np.zeros(0)
@@ -162,6 +190,8 @@ def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, pro
 
 def _reason(status, cell, wandered, noise, contrast, _, doubted, *others):
     """Why a marker is left out, or "" where it is not."""
+    if status == square.NOT_READ:
+        return _UNREAD
     if cell < SMALLEST_CELL:
         return f"too small: a cell is {cell:.1f} px"
     if status != square.OK:

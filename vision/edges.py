@@ -250,8 +250,9 @@ def edge_pixels(crop, box, quad, lens, centre, seen, n, margin, g, s, points, gr
             i, j = int(X0 + 2) - 2, int(Y0 + 2) - 2
             fx, fy = X0 - i, Y0 - j
             sides = (fx < rx) + 2 * (1 - fx < rx) + 4 * (fy < ry) + 8 * (1 - fy < ry)
-            code = seen[j + 2, i + 2, sides]
-            far, outside = max(rx, ry), max(max(-1 - X, X - (n + 1)), max(-1 - Y, Y - (n + 1)))
+            far = max(rx, ry)
+            code = seen[j + 2, i + 2, sides] if far < 1 else SEVERAL  # where cells beyond the next are in sight nobody has looked
+            outside = max(max(-1 - X, X - (n + 1)), max(-1 - Y, Y - (n + 1)))
             single = code - 2
             kind = (0 if single < 0 else (1 if single < 4 else 2)) * (-1 if single & 1 else 1)
             second = single >= 0 and single & 2 != 0

@@ -106,7 +106,7 @@ def locate(view, marker_map, finest=FINEST):
     if agreeing < 2 or 2 * agreeing < len(sightings):
         return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
     located = Located(RigidTransform.from_matrix(matrix), covariance, inliers)
-    rival = _rival(view, matrices, distance, matrix, square / scale**2, finest)
+    rival = _rival(view, matrices, distance, matrix, square, scale, finest)
     if rival is not None:
         turn = np.degrees(_apart(rival.T_world_body.as_matrix(), matrix))
         return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, rival))
@@ -227,10 +227,12 @@ def _linearise(view, matrix, whitener):
     return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
 
 
-def _rival(view, matrices, distance, matrix, chi2, finest):
+def _rival(view, matrices, distance, matrix, square, scale, finest):
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
-    tried = [matrix]
+    tried, free = [matrix], max(2 * len(view.points) - 6, 1)
+    unit = max(scale**2, square / free)  # of a few corners the median alone says little
+    worse = RIVAL * (1 + RIVAL / free) * unit  # a t distribution's: so far may chance set apart what few corners measure
     for at in near[np.argsort(distance[near].max(axis=1), kind="stable")]:
         if len(tried) > 3:
             break
@@ -238,7 +240,7 @@ def _rival(view, matrices, distance, matrix, chi2, finest):
             continue
         tried.append(matrices[at])
         other = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
-        alike = other is not None and other[3] / other[4] ** 2 - chi2 < RIVAL and other[2].mean() >= 0.9
+        alike = other is not None and other[3] - square < worse and other[2].sum() >= 0.9 * len(other[2]) - 1
         if alike and _apart(other[0], matrix) is not None:
             return Located(RigidTransform.from_matrix(other[0]), *other[1:3])
     return None

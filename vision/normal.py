@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.pose import skew
-from vision import lens
-from vision.predict import base_points, body_points, by_camera, in_camera
+from vision.derivatives import moved, seen
+from vision.predict import body_points
 from vision.targets import SQUARE
 from vision.unknowns import POSE_SCALE, shifts
 
@@ -42,10 +41,10 @@ class Blocks:
 def linearise(observations, estimate, unknowns, whitener):
     """Whitened residuals (n, 2), seen less predicted, and {camera index: Derivatives} of the prediction.
 
-    whitener : (n, 2, 2), inverse square roots of the corners' covariances
+    whitener : Whitener of the observations
     """
     state = estimate.state
-    body, base = body_points(observations, state), base_points(observations, state)
+    body = body_points(observations, state)
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
     if unknowns.markers:
@@ -53,50 +52,43 @@ def linearise(observations, estimate, unknowns, whitener):
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
     residual, found = np.empty((len(observations), 2)), {}
-    for i, camera, rows in by_camera(observations, state):
+    for i, rows, uv, J_base, J_camera, J_lens in seen(observations, state):
         frame, on = observations.frame[rows], observations.on_platform[rows][:, None, None]
-        marker, corner = observations.marker[rows], observations.corner[rows]
-        ahead = in_camera(base[rows], frame, state, i)
-        uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
-        residual[rows] = (whitener[rows] @ (observations.uv[rows] - uv)[..., None])[..., 0]
-        J_point = whitener[rows] @ J_point
-        R_camera = state.moving[i].rotation.as_matrix()[frame] if i in state.moving else camera.pose.rotation.as_matrix()
-        J_base = J_point @ np.swapaxes(R_camera, -1, -2)
+        marker, corner, own = observations.marker[rows], observations.corner[rows], whitener.own[rows]
+        whitened = own @ (observations.uv[rows] - uv)[..., None]
+        J_base = own @ J_base
         J_body = np.where(on, J_base @ R_platform[frame], J_base)
-        own, own_columns = [np.where(on, _moved(J_body, body[rows]), 0.0)], [range(6)]
-        shared, columns, steady = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)], 0
+        local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [range(6)]
+        shared, columns = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)]
         if i in unknowns.local_poses or i in unknowns.poses:
-            J_camera = np.concatenate([-J_point, J_point @ skew(ahead)], axis=-1)
             if i in unknowns.local_poses:
-                own.append(J_camera)
+                local.append(own @ J_camera)
                 own_columns.append(_range(unknowns.local_poses[i]))
             else:
-                shared.append(J_camera)
+                shared.append(own @ J_camera)
                 columns.append(np.tile(_range(unknowns.poses[i]), (markers, 1)))
         if i in unknowns.lenses:
-            shared.append(whitener[rows] @ J_lens)
+            shared.append(own @ J_lens)
             columns.append(np.tile(_range(unknowns.lenses[i]), (markers, 1)))
         steady = sum(part.shape[1] for part in columns)
         if unknowns.markers:
-            shared.append(_moved(J_body @ R_marker[marker], in_marker[marker, corner]))
+            shared.append(moved(J_body @ R_marker[marker], in_marker[marker, corner]))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.targets:
-            shared.append(_moved(J_body @ turns[marker], arms[marker, corner]))
+            shared.append(moved(J_body @ turns[marker], arms[marker, corner]))
             names = state.markers.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
         columns = np.concatenate(columns, axis=1)
-        shared = np.concatenate(shared, axis=-1) * unknowns.scale[columns[marker]][:, None]
-        found[i] = Derivatives(rows, np.concatenate(own, axis=-1) * POSE_SCALE, np.concatenate(own_columns), shared, columns, steady)
+        local, shared = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[columns[marker]][:, None]
+        count = local.shape[2]
+        mixed = whitener.mix(np.concatenate([local, shared, whitened], axis=-1), rows)
+        residual[rows] = mixed[..., -1]
+        found[i] = Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], columns, steady)
     return residual, found
 
 
 def _range(columns):
     return np.arange(columns.start, columns.stop)
-
-
-def _moved(J, points):
-    """(n, 2, 6) derivative to a small motion on the right, from that to the point (n, 2, 3) and the point (n, 3) it moves."""
-    return np.concatenate([J, -(J @ skew(points))], axis=-1)
 
 
 def _about_targets(estimate, unknowns):

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+_COLUMNS = ("frame", "camera", "marker", "corner", "uv", "covariance", "points", "on_platform")
 UNSTATED_SIGMA = 0.1  # px; a corner's standard deviation until the residuals tell it
 
 
@@ -14,6 +15,8 @@ class Observations:
     frames : (F,) frame numbers; frame : (n,) index into frames; camera : (n,) index into the design's cameras
     marker : (n,) row of the marker map; corner : (n,) 0..3; uv : (n, 2) px; covariance : (n, 2, 2) px^2
     points : (n, 3) m, the corner in its body's frame; on_platform : (n,) bool; stated : whether the covariance was given
+    correlation : (n, 2, 8) of each corner, whitened by its own covariance, with the four of its marker in that image, or None: a marker
+    is fitted as a whole, so its corners' errors are not independent
     """
 
     frames: np.ndarray
@@ -26,19 +29,19 @@ class Observations:
     points: np.ndarray
     on_platform: np.ndarray
     stated: bool
+    correlation: np.ndarray | None = None
 
     def __len__(self):
         return len(self.frame)
 
     def take(self, index):
         """The same recording with only the corners of an index or mask (n,)."""
-        return Observations(self.frames, self.frame[index], self.camera[index], self.marker[index], self.corner[index], self.uv[index],
-                            self.covariance[index], self.points[index], self.on_platform[index], self.stated)
+        columns = {name: getattr(self, name)[index] for name in _COLUMNS}
+        return replace(self, **columns, correlation=None if self.correlation is None else self.correlation[index])
 
     def with_points(self, points):
         """The same corners with other body points (n, 3) m."""
-        return Observations(self.frames, self.frame, self.camera, self.marker, self.corner, self.uv, self.covariance, points,
-                            self.on_platform, self.stated)
+        return replace(self, points=points)
 
     def groups(self):
         """Index pairs [start, end) of the runs of one camera in one frame."""
@@ -53,8 +56,61 @@ def only(observations, solved):
     return replace(kept, frames=observations.frames[solved], frame=np.searchsorted(solved, kept.frame))
 
 
-def from_corners(corners, frames, design, marker_map):
-    """Observations of recording.Corners whose markers and cameras the design knows. frames : (F,) the frame numbers."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitener:
+    """What makes errors of all observations independent and of unit size. own : (n, 2, 2) inverse square roots of the covariances
+    sighting : (n,) which image of which marker; corner : (n,); mixing : (k, 8, 8) of the sightings' corners so whitened, or None."""
+
+    own: np.ndarray
+    sighting: np.ndarray
+    corner: np.ndarray
+    mixing: np.ndarray | None
+
+    def __call__(self, errors):
+        """(n, 2) whitened, of errors (n, 2) px."""
+        return self.mix((self.own @ errors[..., None]), slice(None))[..., 0]
+
+    def mix(self, X, rows):
+        """Columns X (m, 2, k), whitened by `own`, with what corners of a marker share taken out; rows : slice of whole sightings."""
+        if self.mixing is None or not len(X):
+            return X
+        sighting, corner = self.sighting[rows], self.corner[rows]
+        first = sighting[0]
+        together = np.zeros((sighting[-1] + 1 - first, 4, 2, X.shape[2]))
+        together[sighting - first, corner] = X
+        together = (self.mixing[first : sighting[-1] + 1] @ together.reshape(len(together), 8, -1)).reshape(together.shape)
+        return together[sighting - first, corner]
+
+
+def whitener(observations):
+    """Whitener of Observations."""
+    o, own = observations, np.linalg.inv(np.linalg.cholesky(observations.covariance))
+    sighting = np.cumsum(np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)])
+    if o.correlation is None or not len(o):
+        return Whitener(own, sighting, o.corner, None)
+    count = sighting[-1] + 1
+    R, there = np.zeros((count, 4, 2, 8)), np.zeros((count, 4), bool)
+    R[sighting, o.corner], there[sighting, o.corner] = o.correlation, True
+    R, there = R.reshape(count, 8, 8), np.repeat(there, 2, axis=1)
+    R = np.where(there[:, :, None] & there[:, None, :], (R + np.swapaxes(R, 1, 2)) / 2, np.eye(8))  # a corner left out shares nothing
+    return Whitener(own, sighting, o.corner, np.linalg.inv(np.linalg.cholesky(R)))
+
+
+def correlation_of(covariance):
+    """(m, 4, 2, 8) Observations.correlation of m markers' corners whose covariances are (m, 8, 8) px^2."""
+    m = len(covariance)
+    blocks = np.linalg.inv(np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1)))
+    whiten = np.zeros((m, 4, 2, 4, 2))
+    whiten[:, range(4), :, range(4)] = np.swapaxes(blocks, 0, 1)
+    whiten = whiten.reshape(m, 8, 8)
+    return (whiten @ covariance @ np.swapaxes(whiten, 1, 2)).reshape(m, 4, 2, 8)
+
+
+def from_corners(corners, frames, design, marker_map, correlation=None):
+    """Observations of recording.Corners whose markers and cameras the design knows. frames : (F,) the frame numbers.
+
+    correlation : (n, 2, 8) of the corners, see Observations, or None
+    """
     names = {camera.name: i for i, camera in enumerate(design.cameras)}
     camera = np.array([names[name] for name in corners.camera], int)
     marker = marker_map.rows(corners.marker)
@@ -66,4 +122,5 @@ def from_corners(corners, frames, design, marker_map):
         covariance = np.broadcast_to(UNSTATED_SIGMA**2 * np.eye(2), (len(frame), 2, 2))
     marker, corner = marker[order], corners.corner[order]
     return Observations(frames, frame[order], camera[order], marker, corner, corners.uv[order], covariance[order],
-                        marker_map.corners[marker, corner], marker_map.on_platform[marker], stated)
+                        marker_map.corners[marker, corner], marker_map.on_platform[marker], stated,
+                        None if correlation is None else correlation[order])

@@ -72,3 +72,41 @@ def pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
                 if w != 0 and abs(h) < MEETING and abs(k) < MEETING:
                     s += w * _meeting(h, k, rho)
     return s, gx, gy, gb
+
+
+@kernel
+def wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
+    """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
+    last = cells.shape[0] - 1
+    h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)
+    k = ((Y - j + 1) / sy, (Y - j) / sy, (Y - j - 1) / sy, (Y - j - 2) / sy)
+    across = (edge(table_x, h[0]), edge(table_x, h[1]), edge(table_x, h[2]), edge(table_x, h[3]))
+    down = (edge(table_y, k[0]), edge(table_y, k[1]), edge(table_y, k[2]), edge(table_y, k[3]))
+    s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0
+    for v in range(5):
+        y = min(max(j + v, 0), last)
+        a = cells[y, min(max(i, 0), last)]
+        row, slope, spread = a, 0.0, 0.0
+        for u in range(4):
+            b = cells[y, min(max(i + u + 1, 0), last)]
+            row += (b - a) * across[u][0]
+            slope += (b - a) * across[u][1] / sx
+            spread -= (b - a) * across[u][1] * h[u]
+            a = b
+        w = (down[v - 1][0] if v > 0 else 1.0) - (down[v][0] if v < 4 else 0.0)
+        s += w * row
+        gx += w * slope
+        gb += w * spread
+        if v > 0:
+            gy += (row - above) * down[v - 1][1] / sy
+            gb -= (row - above) * down[v - 1][1] * k[v - 1]
+        above = row
+    if abs(rho) > 0.02:
+        for u in range(4):
+            left, right = min(max(i + u, 0), last), min(max(i + u + 1, 0), last)
+            for v in range(4):
+                top, bottom = min(max(j + v, 0), last), min(max(j + v + 1, 0), last)
+                w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
+                if w != 0 and abs(h[u]) < MEETING and abs(k[v]) < MEETING:
+                    s += w * _meeting(h[u], k[v], rho)
+    return s, gx, gy, gb

@@ -37,8 +37,8 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     def said(label):
         return (lambda done, of: progress(label, done, of)) if progress else None
 
-    def solve(corners):
-        return _solve(from_corners(corners, frames, design, markers), design, markers, free, said("locating"), t, places)
+    def solve(corners, correlation=None):
+        return _solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, said("locating"), t, places)
 
     if recording.corners is not None and not detect_anew:
         return solve(recording.corners), None
@@ -47,11 +47,11 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     found = collect(recording, markers, said("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
-    measured = solve(found.corners)
+    measured = solve(found.corners, found.correlation)
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again
-        measured = solve(found.corners)
+        measured = solve(found.corners, found.correlation)
     return measured, found
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr
 
+from vision.misfit import PROFILED
 from vision.pattern import GRID
-from vision.square import PROFILED
 
 FIRST_WIDTH = 0.8  # px
 DIRECTIONS = 36  # of tables, over half a turn

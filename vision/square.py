@@ -13,38 +13,41 @@ import math
 import numpy as np
 
 from vision.cholesky import factor, solve
-from vision.edges import edge_pixels, homography, misread, straighten
+from vision.edges import REACH, edge_pixels, homography, misread, straighten
 from vision.jit import kernel
 from vision.local_lens import to_image
-from vision.pattern import edge, pattern
+from vision.misfit import misfit, profile_left, segments
+from vision.pattern import edge, pattern, wide_pattern
 
 UNKNOWNS = 15
 ROWS = 16  # the unknowns and the residual: one row each of what is multiplied out
 CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's first cache
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
+SATURATED = 254.5  # 255ths of white; a brighter pixel says only that there is at least so much light
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
 NEAR = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
-PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
 STRAYED, WIDENED = 0.4, 1.1  # px that corners may move, times that edges may widen before the pixels near them are collected anew
 OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
 
 
 @kernel
-def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table_y, light, lit, limit, J, H, sizes):
-    """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted).
+def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table_y, light, lit, limit, rows, keep, H, sizes):
+    """H (ROWS, ROWS) = J J' over the pixels, whose last row of J is the residual; returns (weights, doubted, told).
 
     points, greys, places : of `edge_pixels`, the first `count`; slope : (2, 2) of the lens in the middle, image to ideal
-    limit : grey levels, of a trusted residual; J : (ROWS, CHUNK) to work in; sizes : (count,) out, |residual|
+    limit : grey levels, of a trusted residual; rows : (chunks, ROWS, CHUNK) J, chunk by chunk where they are to be kept, else all in the first
+    sizes : (count,) out, |residual| of the first `told`, which are not saturated
     While it is not lit only the greys' part of J is of use.
     """
     H[:] = 0
-    weights, doubted = 0.0, 0
+    weights, doubted, told = 0.0, 0, 0
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
     s00, s01, s10, s11 = slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1]
     for start in range(0, count, CHUNK):
         size = min(CHUNK, count - start)
+        J = rows[start // CHUNK if keep else 0]
         for k in range(size):
             xi, yi = float(points[start + k, 0]), float(points[start + k, 1])
             w = 1.0 / (g20 * xi + g21 * yi + 1.0)
@@ -55,7 +58,11 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
                 Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
                 Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                p, dX, dY, dB = pattern(cells, i, j, X, Y, s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), table_x, table_y)
+                sx, sy, rho = s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay)
+                if REACH * max(sx, sy) > 1:
+                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y)
+                else:
+                    p, dX, dY, dB = pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y)
             elif abs(kind) == 1:
                 Xx, Xy = g00 - X * g20, g01 - X * g21
                 Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
@@ -73,11 +80,15 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
             white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
             q, root = 1 - p, 1.0
             r = greys[start + k] - white * p - black * q
-            sizes[start + k] = abs(r)
-            if lit and abs(r) > limit:
-                root = limit / abs(r)
-                root *= math.sqrt(root)
-                doubted += 1
+            if greys[start + k] > SATURATED and r < 0:
+                root = 0.0  # it may be brighter than it can say
+            else:
+                sizes[told] = abs(r)
+                told += 1
+                if lit and abs(r) > limit:
+                    root = limit / abs(r)
+                    root *= math.sqrt(root)
+                    doubted += 1
             weights += root * root
             contrast = (white - black) * root
             dX, dY, dB, p, q = dX * w * contrast, dY * w * contrast, dB * contrast, p * root, q * root
@@ -97,7 +108,7 @@ def _accumulate(points, greys, places, count, cells, g, s, slope, table_x, table
     for i in range(ROWS):
         for j in range(i):
             H[i, j] = H[j, i]
-    return weights, doubted
+    return weights, doubted, told
 
 
 @kernel
@@ -153,7 +164,7 @@ def _step(H, g, s, light, n, scale, corners, J, x, L):
 def _covariance(H, weights, J, x, L, covariance):
     """(8, 8) covariance of the corners' local ideal coordinates, from the residuals' own scatter; returns that (grey levels).
 
-    x, L : of the last step
+    x, L : of the last step; x is overwritten
     """
     left = H[ROWS - 1, ROWS - 1]  # the residuals' weighted square, less what the last step takes off it
     for k in range(UNKNOWNS):
@@ -173,35 +184,6 @@ def _covariance(H, weights, J, x, L, covariance):
 
 
 @kernel
-def _profile(points, greys, places, count, g, s, slope, tables, rows, light, limit, profile):
-    """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
-
-    rows : (2,) of tables (d, STEPS + 1, 2) and profile, of the X and of the Y edges
-    A bin is a distance from the edge in widths, negative on the dark side.
-    """
-    bins = profile.shape[1]
-    for k in range(count):
-        kind = places[k, 0]
-        if kind == 0:
-            continue
-        axis, sign = abs(kind) - 1, 1 if kind > 0 else -1
-        xi, yi = float(points[k, 0]), float(points[k, 1])
-        w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
-        X = (g[axis, 0] * xi + g[axis, 1] * yi + g[axis, 2]) * w
-        Xx, Xy = g[axis, 0] - X * g[2, 0], g[axis, 1] - X * g[2, 1]
-        Xu, Xv = Xx * slope[0, 0] + Xy * slope[1, 0], Xx * slope[0, 1] + Xy * slope[1, 1]
-        h = sign * (X - places[k, 1 + axis]) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
-        white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
-        at = int(math.floor((h / PROFILED + 1) * bins / 2))
-        p, e = edge(tables[rows[axis]], h)
-        share = (greys[k] - black) / (white - black) - p
-        if 0 <= at < bins and abs(share) * (white - black) < limit:
-            profile[rows[axis], at, 0] += 1
-            profile[rows[axis], at, 1] += share
-            profile[rows[axis], at, 2] += share * share
-
-
-@kernel
 def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, quads, reach, wrong, tables, levels, directions, width, iterations,
                 corners, covariances, results, status, profile):
     """Fit every marker of an image.
@@ -214,15 +196,16 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
     width : px, the edges' to start from; tables : (l + 1, d, STEPS + 1, 2) edge spread functions; levels : (l,) px between their widths
     directions : (m, 2) which is that of the X and of the Y edges
     corners : (m, 4, 2) out, px; covariances : (m, 8, 8) out, px^2; status : (m,) out
-    profile : (d, bins, 3) added to, what is left beside edges of each direction, see `_profile`; of no bins where it is not wanted
+    profile : (d, bins, 3) added to, what is left beside edges of each direction, see vision/misfit.py; of no bins where it is not wanted
     results : (m, 6) out: noise (grey), contrast, pixels, share of them that count less, width (px), steps taken
     """
     largest = 1
     for m in range(len(boxes)):
         largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
     points, greys, places = np.empty((2, largest, 2), np.float32), np.empty((2, largest), np.float32), np.empty((2, largest, 3), np.int32)
-    sizes, rows = np.empty(largest, np.float32), np.empty((ROWS, CHUNK), np.float32)
+    sizes, rows = np.zeros(largest, np.float32), np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32)
     H, L, x, J = np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8))
+    sums = np.empty((2, n + 5, n + 5, 2))
     g, light, slope = np.empty((3, 3)), np.empty(6), np.empty((2, 2))
     for m in range(len(boxes)):
         box, lens, scale = boxes[m], lenses[m], centres[m, 2]
@@ -237,7 +220,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
         if not homography(quads[m], lens, centres[m], n, g) or not _corners(g, n, corners[m], J):
             status[m] = WANDERED
             continue
-        limit, away, collected, part, used, every = 1e9, 1e9, s, 0, 0, 1
+        limit, away, collected, part, used, every, whole = 1e9, 1e9, s, 0, 0, 1, False
         status[m] = UNSETTLED
         for iteration in range(iterations):
             if away > STRAYED or s > WIDENED * collected:
@@ -249,7 +232,7 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
                     status[m] = NO_PIXELS
                     break
                 away, collected, every = 0.0, s, max(count // SAMPLE, 1)
-                part = 1 if every > 1 else 0
+                part = 1 if every > 1 and not whole else 0  # a sample's optimum may lie far enough off to come back to for ever
                 for k in range(0, count if part else 0, every):
                     points[1, k // every], greys[1, k // every], places[1, k // every] = points[0, k], greys[0, k], places[0, k]
             used = (count + every - 1) // every if part else count
@@ -257,8 +240,8 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             while level < len(levels) and s > levels[level]:
                 level += 1
             table_x, table_y = tables[level, directions[m, 0]], tables[level, directions[m, 1]]
-            weights, doubted = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
-                                           limit, rows, H, sizes)
+            weights, doubted, told = _accumulate(points[part], greys[part], places[part], used, cells[m], g, s, slope, table_x, table_y, light, lit,
+                                           limit, rows, part == 0, H, sizes)
             if not lit:
                 lit = True
                 for k in range(6):
@@ -276,18 +259,21 @@ def fit_squares(image, starts, boxes, lenses, centres, cells, seen, n, margins, 
             widened, s = abs(s_new - s), s_new
             away += moved
             if part or limit > 1e8:
-                limit = TRUSTED * max(1.4826 * np.median(sizes[:used]), FINEST)
+                limit = TRUSTED * max(1.4826 * np.median(sizes[: max(told, 1)]), FINEST)
             results[m, 1], results[m, 2], results[m, 3] = light[0] - light[3], used, doubted / used
             results[m, 4], results[m, 5] = s, iteration
             if part:
-                part = 0 if moved < NEAR and widened < 0.1 * s else 1
+                whole = moved < NEAR and widened < 0.1 * s
+                part = 0 if whole else 1
             elif moved < NEAR and widened < 0.05 * s and away < STRAYED and s <= WIDENED * collected:
                 if not _corners(g, n, corners[m], J):
                     status[m] = WANDERED
                     break
+                segments(points[0], places[0], count, g, rows, x, sums)
                 results[m, 0] = _covariance(H, weights, J, x, L, covariances[m])
+                covariances[m] *= misfit(sums, results[m, 0])
                 to_image(lens, centres[m], quads[m], corners[m], covariances[m])
                 status[m], width = OK, s
                 if profile.shape[1]:
-                    _profile(points[0], greys[0], places[0], count, g, s, slope, tables[level], directions[m], light, limit, profile)
+                    profile_left(points[0], greys[0], places[0], count, g, s, slope, tables[level], directions[m], light, limit, profile)
                 break

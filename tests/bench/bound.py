@@ -1,4 +1,7 @@
-"""Corners in exact pictures against the Cramer-Rao bound, over blur, noise, tilt and size; OpenCV's SUBPIX on the same pictures."""
+"""Corners in pictures against the Cramer-Rao bound, over blur, noise, tilt and size; OpenCV's SUBPIX on the same pictures.
+
+Every kind is drawn twice: exactly, and as a ray caster and a camera of 8 bits would: so many points to the pixel, each black or white.
+"""
 
 from itertools import product
 
@@ -48,26 +51,32 @@ def subpix(image, corners):
 
 
 def cells(markers, seed=0):
-    """Yield (blur, noise, tilt, side, bound px, errors of ours (k, 4, 2), whether each lies in its 95 % ellipse, OpenCV's errors, left out)."""
+    """Yield (exact, blur, noise, tilt, side, bound px, errors of ours (k, 4, 2), whether each lies in its 95 % ellipse, OpenCV's, left out)."""
     rng = np.random.default_rng(seed)
     for tilt, side, blur in product(TILTS, SIDES, BLURS):
         size = int(side * 1.45) + 24
         view = camera(size=size)
         scenes = [quad(rng, side, np.radians(tilt), size) for _ in range(QUADS)]
         limit = np.sqrt(np.trace(bound(scenes[0], 0, blur, size)) / 8)
-        clean = [picture(corners, NAME, k, blur, WHITE, BLACK, samples=SAMPLES, size=size) for k, corners in enumerate(scenes)]
-        for noise in NOISES:
-            ours, inside, theirs, lost = [], [], [], 0
-            for k, corners in enumerate(scenes):
-                for _ in range(DRAWS):
-                    image = clean[k] + rng.normal(0, noise, (size, size))
-                    found = place(image.astype(np.float32), view, markers, [k], (corners + rng.normal(0, 0.3, (4, 2)))[None])
-                    theirs.append(subpix(image, corners) - corners)
-                    if not len(found.marker):
-                        lost += 1
-                        continue
-                    error = found.corners[0] - corners
-                    C = np.stack([found.covariance[0, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)])
-                    ours.append(error)
-                    inside.append(np.einsum("ci,cij,cj->c", error, np.linalg.inv(C), error) < 5.991)
-            yield blur, noise, tilt, side, limit * noise, np.array(ours).reshape(-1, 4, 2), np.array(inside).reshape(-1, 4), np.array(theirs), lost
+        for exact in (True, False):
+            clean = [picture(corners, NAME, k, blur, WHITE, BLACK, samples=SAMPLES, size=size, sharp=not exact) for k, corners in enumerate(scenes)]
+            for noise in NOISES:
+                yield exact, blur, noise, tilt, side, limit * noise, *_fitted(clean, scenes, noise, exact, view, markers, rng)
+
+
+def _fitted(clean, scenes, noise, exact, view, markers, rng):
+    ours, inside, theirs, lost = [], [], [], 0
+    for k, corners in enumerate(scenes):
+        for _ in range(DRAWS):
+            image = clean[k] + rng.normal(0, noise, clean[k].shape)
+            image = image if exact else np.clip(np.rint(image), 0, 255)
+            found = place(image.astype(np.float32), view, markers, [k], (corners + rng.normal(0, 0.3, (4, 2)))[None])
+            theirs.append(subpix(image, corners) - corners)
+            if not len(found.marker):
+                lost += 1
+                continue
+            error = found.corners[0] - corners
+            C = np.stack([found.covariance[0, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)])
+            ours.append(error)
+            inside.append(np.einsum("ci,cij,cj->c", error, np.linalg.inv(C), error) < 5.991)
+    return np.array(ours).reshape(-1, 4, 2), np.array(inside).reshape(-1, 4), np.array(theirs), lost

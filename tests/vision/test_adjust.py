@@ -13,6 +13,7 @@ from tests.vision.scenes import known, scene
 from vision.adjust import adjust
 from vision.determined import determined
 from vision.normal import linearise
+from vision.observations import correlation_of, whitener
 from vision.predict import State, predict
 from vision.targets import marker_map
 from vision.unknowns import TERM_PRIOR, aligned, move, offset, unknowns
@@ -29,8 +30,7 @@ def start(stated, true, T, seed=0):
 
 
 def whitened(observations, state):
-    W = np.linalg.inv(np.linalg.cholesky(observations.covariance))
-    return (W @ (observations.uv - predict(observations, state)[0])[..., None])[..., 0]
+    return whitener(observations)(observations.uv - predict(observations, state)[0])
 
 
 EVERYTHING = ("poses", "lenses", "markers", "targets")
@@ -44,17 +44,20 @@ def with_markers(state, design, size=1e-3):
 
 
 @pytest.mark.parametrize("free", [("poses", "lenses"), EVERYTHING, ("markers",), ("targets",)])
-@pytest.mark.parametrize("moving", [False, True])
-def test_jacobian_agrees_with_differences(setting, moving, free):
+@pytest.mark.parametrize("moving, correlated", [(False, False), (True, False), (False, True)])
+def test_jacobian_agrees_with_differences(setting, moving, correlated, free):
     observations, stated, true, T = setting
+    if correlated:
+        root = np.random.default_rng(8).normal(size=(len(observations) // 4, 8, 8)) + 3 * np.eye(8)
+        observations = replace(observations, correlation=correlation_of(root @ np.swapaxes(root, 1, 2)).reshape(-1, 2, 8))
+        observations = observations.take(np.arange(len(observations)) % 7 != 0)
     state = with_markers(start(stated, true, T), stated)
     if moving:
         state = replace(state, moving={1: RigidTransform.concatenate([state.cameras[1].pose] * 6)})
-    W = np.linalg.inv(np.linalg.cholesky(observations.covariance))
     u, estimate = unknowns(observations, state, replace(state, markers=marker_map(stated)), free)
     rng = np.random.default_rng(1)
     estimate = move(estimate, u, 1e-3 * rng.normal(size=u.shared), np.zeros((6, u.local)))  # not where moves are still zero
-    _, found = linearise(observations, estimate, u, W)
+    _, found = linearise(observations, estimate, u, whitener(observations))
     shared, local = rng.normal(size=u.shared), rng.normal(size=(6, u.local))
     h = 1e-5
     up, down = (whitened(observations, move(estimate, u, s * h * shared, s * h * local).state) for s in (1, -1))

@@ -217,3 +217,77 @@ def test_blurred_dark_and_striped_markers_are_right_or_left_out_with_a_reason(de
         np.testing.assert_allclose(found.corners[0], corners, atol=atol)
     else:
         assert found.left_out and found.left_out[0][0] == 6
+
+
+@pytest.mark.parametrize("gain", [1.35, 1.6, 2.5])
+def test_over_exposed_markers_are_right_within_their_covariance(design, gain):
+    """White is cut off at 255: what is left of the edges says where they are, and how well."""
+    rng, chi2 = np.random.default_rng(11), []
+    for k in range(24):
+        corners = quad(rng, side=rng.uniform(45, 80), tilt=rng.uniform(0, 0.8))
+        image = np.clip(np.rint(gain * picture(corners, NAME, k, samples=8) + rng.normal(0, 1, (SIZE, SIZE))), 0, 255).astype(np.uint8)
+        found = detect(image, camera(), sheet(design))
+        assert found.marker.tolist() in ([k], []) and (len(found.marker) or found.left_out or gain > 2)
+        for error, C in zip(found.corners - corners, found.covariance):
+            chi2.append(error.ravel() @ np.linalg.solve(C, error.ravel()) / 8)
+    assert len(chi2) >= 18 and 0.6 < np.mean(chi2) < 1.5
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_rotated_image_shows_the_same_corners_rotated(design, quarters):
+    """Corner 0 stays the marker's own first corner, wherever it lies in the image."""
+    corners = quad(np.random.default_rng(12), side=70, tilt=0.5)
+    image = np.clip(np.rint(picture(corners, NAME, 6) + np.random.default_rng(0).normal(0, 1, (SIZE, SIZE))), 0, 255).astype(np.uint8)
+    found = detect(np.ascontiguousarray(np.rot90(image, quarters)), camera(), sheet(design))
+    turned = corners
+    for _ in range(quarters):
+        turned = np.stack([turned[:, 1], SIZE - 1 - turned[:, 0]], axis=1)
+    assert found.marker.tolist() == [6]
+    np.testing.assert_allclose(found.corners[0], turned, atol=0.03)
+
+
+@pytest.mark.parametrize("flip", [0, 1])
+def test_a_mirrored_image_shows_no_marker(design, flip):
+    image = np.clip(picture(quad(np.random.default_rng(13), side=70), NAME, 6), 0, 255).astype(np.uint8)
+    assert detect(image, camera(), sheet(design)).marker.tolist() == [6]
+    assert not len(detect(np.ascontiguousarray(np.flip(image, flip)), camera(), sheet(design, ids=range(100))).marker)
+
+
+@pytest.mark.parametrize("pitch", [1.7, 2.6, 5.3])
+def test_a_marker_on_a_screen_is_right_or_left_out_with_a_reason(design, pitch):
+    """A screen's pixels, of three coloured stripes with dark gaps between them, photographed askew: moire."""
+    rng, fine = np.random.default_rng(14), 8
+    corners = quad(rng, side=80, tilt=0.3)
+    u, v = np.meshgrid(*[(np.arange(SIZE * fine) + 0.5) / fine] * 2)
+    x, y = (u * np.cos(0.1) + v * np.sin(0.1)) / pitch, (v * np.cos(0.1) - u * np.sin(0.1)) / pitch
+    open_ = (np.mod(y, 1) < 0.85)[..., None] & (np.abs(np.mod(x[..., None] - np.array([0.17, 0.5, 0.83]) + 0.5, 1) - 0.5) < 0.14)
+    screen = open_.reshape(SIZE, fine, SIZE, fine, 3).mean(axis=(1, 3)) / 0.24
+    image = np.clip(np.rint(picture(corners, NAME, 6, white=150.0)[..., None] * screen + rng.normal(0, 1, screen.shape)), 0, 255).astype(np.uint8)
+    found = detect(image, camera(), sheet(design))
+    if len(found.marker):
+        assert found.marker.tolist() == [6]
+        assert np.abs(found.corners[0] - corners).max() < 0.25
+    else:
+        assert not found.left_out or found.left_out[0][0] == 6
+
+
+def test_wide_edges_of_small_cells_see_beyond_the_next_cell(design):
+    """A cell of 3.6 px under a blur of 1.5 px: without the cells beyond the next ones corners would be off by 0.01 px and more."""
+    rng, markers, errors = np.random.default_rng(15), sheet(design), []
+    for k in range(8):
+        corners = quad(rng, side=25, tilt=0.4)
+        found = place(picture(corners, NAME, k, blur=1.5).astype(np.float32), camera(), markers, [k], corners[None])
+        errors += list(found.corners - corners)
+    assert len(errors) >= 6 and np.sqrt(np.mean(np.square(errors))) < 0.01
+
+
+def test_what_is_no_noise_is_in_the_covariance(design):
+    """Pictures of 8 x 8 rays to the pixel have next to no noise, and edges out of place by more than it."""
+    rng, markers, squares = np.random.default_rng(16), sheet(design), []
+    for k in range(24):
+        corners = quad(rng, side=rng.uniform(50, 100), tilt=rng.uniform(0, 1.1))
+        image = picture(corners, NAME, k, blur=0.8, samples=8, sharp=True) + rng.normal(0, 0.5, (SIZE, SIZE))
+        found = place(image.astype(np.float32), camera(), markers, [k], corners[None])
+        for error, C in zip(found.corners - corners, found.covariance):
+            squares += [error[c] @ np.linalg.solve(C[2 * c : 2 * c + 2, 2 * c : 2 * c + 2], error[c]) for c in range(4)]
+    assert 0.86 < np.mean(np.array(squares) < 5.991) < 0.995

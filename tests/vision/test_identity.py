@@ -101,7 +101,7 @@ def test_a_face_askew_is_reported_without_a_name(design):
 
 def test_what_was_seen_twice_in_an_image_is_reported(design):
     a = seen_often(design)[0]
-    collected = Collected(None, [(0, "cam1", a, "seen 2 times in one image"), (1, "cam1", 999, "too small")], {}, {}, {})
+    collected = Collected(None, None, [(0, "cam1", a, "seen 2 times in one image"), (1, "cam1", 999, "too small")], {}, {}, {})
     assert spoilt(design, collected=collected)[0] == (Suspect(a, "twice", -1, 0, 1, 1),)
 
 

@@ -9,6 +9,7 @@ from rig.errors import NotEnoughData
 from rig.pose import difference
 from tests.vision.scenes import known, nees, scene
 from vision.measure import measure
+from vision.observations import correlation_of, whitener
 from vision.targets import marker_map
 
 
@@ -115,3 +116,43 @@ def test_a_cube_turned_round_is_cast_out_whole(design):
     swapped = np.isin(observations.marker, (0, 2))
     assert not m.inliers[swapped].any() and m.inliers[~swapped].mean() > 0.99
     assert np.abs(difference(m.T_base_platform, T)).max() < 5e-4
+
+
+def correlated(observations, rng, sigma):
+    """Observations whose corners' errors are correlated within each sighting, as those of a marker fitted as a whole are."""
+    o = observations
+    first = np.flatnonzero(o.corner == 0)
+    assert (o.corner.reshape(-1, 4) == range(4)).all() and len(first) * 4 == len(o)
+    spread = np.eye(4) - 0.2 * np.ones((4, 4))  # what moves all four corners alike is known four times better
+    factor = np.kron(spread, np.eye(2)) * sigma
+    uv = o.uv + (factor @ rng.normal(size=(len(first), 8, 1))).reshape(-1, 2)
+    C = np.tile(factor @ factor.T, (len(first), 1, 1))
+    own = np.stack([C[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
+    return replace(o, uv=uv, covariance=own, correlation=correlation_of(C).reshape(-1, 2, 8), stated=True)
+
+
+def test_corners_of_a_marker_are_weighed_together(design):
+    together, apart, gain = [], [], []
+    for seed in range(60, 76):
+        observations, stated, _, T = scene(design, seed, frames=24, noise=0.0)
+        noisy = correlated(observations, np.random.default_rng(seed), 0.04)
+        m = measure(noisy, stated, marker_map(design))
+        without = measure(replace(noisy, correlation=None), stated, marker_map(design))
+        errors = [difference(one.T_base_platform, T) for one in (m, without)]
+        together.append(joint_chi2(m, errors[0]) / len(T))
+        apart.append(joint_chi2(without, errors[1]) / len(T))
+        gain.append((errors[1] ** 2).mean(axis=0) / (errors[0] ** 2).mean(axis=0))
+    assert np.mean(together) == pytest.approx(6, rel=0.1)
+    assert np.mean(apart) < 4.5  # what leaving the correlation out would state too wide
+    assert np.exp(np.mean(np.log(gain))) > 1
+
+
+def test_a_corner_set_aside_leaves_the_others_their_own_correlation(design):
+    observations, *_ = scene(design, 3, frames=2, noise=0.0)
+    noisy = correlated(observations, np.random.default_rng(0), 0.04)
+    W = whitener(noisy.take(np.arange(len(noisy)) % 4 != 1))
+    R = np.linalg.inv(W.mixing[0].T @ W.mixing[0])
+    full = np.linalg.inv(whitener(noisy).mixing[0].T @ whitener(noisy).mixing[0])
+    there = [0, 1, 4, 5, 6, 7]
+    np.testing.assert_allclose(R[np.ix_(there, there)], full[np.ix_(there, there)], atol=1e-12)
+    np.testing.assert_allclose(R[2:4], np.eye(8)[2:4], atol=1e-12)
