@@ -26,7 +26,7 @@ class Unknown:
     depends_on: tuple[str, ...]
     p_value: float
     drop: float
-    freedom: int
+    freedom: int = 1
     dispersion: float | None = None
 
     def gain(self, size):
