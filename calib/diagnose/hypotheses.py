@@ -13,7 +13,7 @@ from rig.errors import RigError
 LOG_STEPS, EVEN_STEP = 14, 0.01  # values of a "log" parameter over its usual range; steps of an "even" one
 SIZES = 16  # values of a "size" parameter over its usual range
 EDGE = 4  # frames at either end that a moment leaves
-KNOTS = (5, 9)  # of a profile of any length
+KNOTS = (5, 9, 14)  # of a profile of any length
 LENS = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
 WARP = (3, 5, 7)  # degrees of a smooth warp
 DISCRETE = ("marker_swap",)  # found by looking at what corners were set aside, not by its derivative

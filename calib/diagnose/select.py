@@ -11,6 +11,7 @@ from calib.diagnose.settle import Settled, admit, settle, tangents
 from calib.diagnose.smooth import cover, covered
 from calib.diagnose.unknown import unknowns
 from rig.effects.base import check
+from rig.effects.transmission_error import TransmissionError
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
 GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
@@ -69,7 +70,7 @@ def select(knowledge, families, signatures, progress=None):
         for best in promising[:TRIED]:
             trial = admit(settled, best, signatures)
             if prove(trial, {len(chosen)}, best.family.plane if knowledge.axes else "view").gain > HELD_OUT:
-                taken = trial
+                taken, best = _finer(settled, trial, best, scores, signatures)
                 break
             refused.append(best.family)
         if taken is None:
@@ -77,6 +78,17 @@ def select(knowledge, families, signatures, progress=None):
         settled, chosen = _prune(taken, [*chosen, best.family], signatures)
     settled, chosen, findings = _confirm(settled, chosen, families, signatures, progress)
     return Selection(settled, findings, len(families), before)
+
+
+def _finer(settled, taken, best, scores, signatures):
+    """(Settled, Score) of the best number of knots of a profile just admitted: before, what a coarse one leaves counted as scatter."""
+    if best.family.kind is not TransmissionError:
+        return taken, best
+    trials = [(taken, best)]
+    for score in scores:
+        if score.family.kind is TransmissionError and score.family.place == best.family.place and score.family is not best.family:
+            trials.append((admit(settled, score, signatures), score))
+    return min(trials, key=lambda trial: trial[0].likelihood() + len(trial[0].coordinates) * np.log(trial[0].planes.size))
 
 
 def _beyond(planes, best):

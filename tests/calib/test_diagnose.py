@@ -16,8 +16,9 @@ from calib.pipeline import sample_recording
 from rig import plan, recording
 from rig.effects.parse import parse
 from rig.layout import layout
-from synthetic import simulation, world
+from synthetic import outlaws, simulation, world
 from tests.numeric import jacobian
+from vision.targets import marker_map
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
 
@@ -139,3 +140,18 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
     tree = result.to_dict(result.diagnose(after, only=["compliance"], calibration=known))
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]
     assert tree["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(8e6, rel=0.2)
+
+
+def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
+    rec = recorded(tmp_path, design, ["transmission_error:strut1:profile=-1e-5/-4e-5/2e-5/6e-5/3e-5/-6e-5"])
+    found = result.diagnose(rec, only=["transmission_error", "cyclic_error", "scale_error"])
+    assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 1")] and not found.unknown
+
+
+def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
+    rng = np.random.default_rng(4)
+    scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
+    secret = world.draw(design, rng, 1.0, (outlaws.UnevenPrint("markers", tuple(scales)),))
+    simulation.write(simulation.simulate(secret, plan.build(design, "sobol:60", 3), rng), tmp_path, layout(0.3), rng, 0.04)
+    found = result.diagnose(recording.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
+    assert not found.effects and found.unknown[0].place == "marker 7"
