@@ -14,7 +14,6 @@ from rig.errors import RigError
 from synthetic import scene
 from synthetic.render import Renderer, opengl
 from synthetic.sensor import expose
-from synthetic.simulation import at_times
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
@@ -96,7 +95,7 @@ def _prepare():
         markers = effect.attach(markers)
     parts = scene.parts(design, images.background, np.random.default_rng(seed), markers)
     shifts = _sub_exposures(images.sensor)
-    poses = [simulation.run.T_base_platform if shift == 0 else at_times(simulation, simulation.plan.t + shift) for shift in shifts]
+    poses = [simulation.run.T_base_platform if shift == 0 else simulation.at_times(simulation.plan.t + shift) for shift in shifts]
     cv2.setNumThreads(1)
     _state.update(design=design, renderer=Renderer(parts, design), exposures=list(zip(shifts, poses)))
 
@@ -129,11 +128,11 @@ def _picture(camera, i, f, shift, T):
     if not row_time:
         return _view(camera, t, T)
     first, last = -camera.height / 2 * row_time, (camera.height / 2 - 1) * row_time
-    steps = min(MOST, 1 + int(np.ceil(_travel(i, at_times(s, [t + first, t + last])) / BLEND)))
+    steps = min(MOST, 1 + int(np.ceil(_travel(i, s.at_times([t + first, t + last])) / BLEND)))
     if steps == 1:
         return _view(camera, t, T)
     moments = t + np.linspace(first, last, steps)
-    pictures = np.stack([_view(camera, moment, pose) for moment, pose in zip(moments, at_times(s, moments))])
+    pictures = np.stack([_view(camera, moment, pose) for moment, pose in zip(moments, s.at_times(moments))])
     place = np.arange(camera.height) / max(camera.height - 1, 1) * (steps - 1)
     low = np.minimum(place.astype(int), steps - 2)
     share = (place - low).astype(np.float32)[:, None]

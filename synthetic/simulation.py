@@ -33,6 +33,14 @@ class Simulation:
     log: Sensors
     run: machine.Run
 
+    def at_times(self, t):
+        """T_base_platform : RigidTransform (n,) of the simulated machine at other times t (n,) s, as the cameras log them."""
+        order = np.argsort(t, kind="stable")
+        run = machine.run(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
+        matrix = np.empty((len(order), 4, 4))
+        matrix[order] = run.T_base_platform.as_matrix()
+        return RigidTransform.from_matrix(matrix)
+
 
 def simulate(world, plan, rng):
     """Simulation of a world under a plan: the weather is drawn, the machine run. Raises what `machine.run` raises."""
@@ -125,14 +133,3 @@ def truth_corners(simulation):
     c = corners(simulation, 0.0, np.random.default_rng(0))
     return [[int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]
             for f, name, m, k, (u, v) in zip(c.frame, c.camera, c.marker, c.corner, c.uv)]
-
-
-def at_times(simulation, t):
-    """T_base_platform : RigidTransform (n,) of the simulated machine at other times t (n,) s, as the cameras log them."""
-    order = np.argsort(t, kind="stable")
-    run = machine.run(simulation.world.true, simulation.plan.commands, np.asarray(t)[order], simulation.world.effects, simulation.sensors)
-    matrix = np.empty((len(order), 4, 4))
-    matrix[order] = run.T_base_platform.as_matrix()
-    return RigidTransform.from_matrix(matrix)
-
-

@@ -44,12 +44,9 @@ def floor(d):
 
 
 def save(folder, d, recording):
-    """Write diagnosis.json and the page into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
+    """Write diagnosis.json into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
     joints.csv (per frame, what was commanded and what the findings do to it) and the recording's own files."""
-    from calib.diagnose.arm_page import diagnosis_page
-
     write_text(folder / "diagnosis.json", json.dumps(to_dict(d), indent=1) + "\n")
-    diagnosis_page(folder / "diagnosis.html", d)
     tree = {"base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(),
             "rotations": d.arms.left.shape[1] == 6, "effects": [f"{t.family.name} at {t.family.place}" for t in d.fit.terms]}
     count = d.arms.q.shape[1]

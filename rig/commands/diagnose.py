@@ -36,9 +36,11 @@ def run(arguments):
             raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
         from calib.diagnose import arm
         from calib.diagnose import arm_result as result
+        from calib.diagnose.arm_page import diagnosis_page
 
         found = arm.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
         result.save(out, found, recording)
+        diagnosis_page(out / "diagnosis.html", found)
     else:
         from calib.diagnose import result
         from calib.diagnose.page import diagnosis_page

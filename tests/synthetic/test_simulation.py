@@ -108,7 +108,7 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
         rolled = pictures._picture(rolling, 0, 0, 0.0, T)
         for row in (0, 512, 1023):  # every row is that of a picture taken at its own moment
             late = (row - 512) * 3e-5
-            then = simulation.at_times(s, [s.plan.t[0] + late])[0]
+            then = s.at_times([s.plan.t[0] + late])[0]
             np.testing.assert_allclose(rolled[row], pictures._view(rolling, s.plan.t[0] + late, then)[row], atol=0.02)
         assert np.abs(rolled - pictures._view(rolling, s.plan.t[0], T)).max() > 0.01
     finally:
