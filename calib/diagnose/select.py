@@ -20,7 +20,7 @@ COSINE = 0.99  # between signatures, freedoms taken out, from which two are the 
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
-BEYOND = 1.5  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
+BEYOND = 2.0  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
 
 

@@ -13,7 +13,7 @@ from rig.pose import difference
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
 WARP = 6  # degree of a smooth warp of an image
 ROUNDS = 3  # of freeing corners of what smooth functions explain
-SEEN = 1e-9  # of the greatest eigenvalue; functions below are left alone
+SEEN = 1e-3  # share of a function's square that the freedoms must leave for corners to be freed of it
 
 
 def strut_weights(k):
@@ -126,10 +126,11 @@ def covered(planes, pixels, weights):
     if pixels is not None:
         for _ in range(ROUNDS):
             o = planes.knowledge.seen.observations
-            _, b, G = planes.project(planes.fold(pixels))
-            values, vectors = np.linalg.eigh(G)
-            kept = values > SEEN * values[-1]
-            moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ b) / values[kept]))
+            K, b, G = planes.project(planes.fold(pixels))
+            scale = np.sqrt(np.diag(G) + (K**2).sum(axis=0)) + 1e-300
+            values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
+            kept = values > SEEN
+            moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ (b / scale)) / values[kept]) / scale)
             seen = replace(planes.knowledge.seen, observations=replace(o, uv=o.uv - moved))
             planes = linearise(replace(planes.knowledge, seen=seen))
         planes = planes.without(planes.fold(pixels))
