@@ -7,7 +7,8 @@ import numpy as np
 from calib.diagnose.planes import Column
 from calib.samples import blocks
 
-FOLDS = 5
+FOLDS, SHORTER = 5, 4
+SUDDEN = ("missed_steps", "camera_bump", "camera_drift", "warm_up")  # happen once, some of them soon over
 RIDGE = 1e-9  # keeps directions that a training set cannot see where they stood
 
 
@@ -32,14 +33,15 @@ def prove(settled, numbers, plane):
     """
     planes, k = settled.planes, settled.knowledge
     whole = planes if settled.column is None else planes.without(settled.column)
-    after = _left(whole, whole.image, whole.struts)
+    fold = _folds(planes.frames, [k.effects[i] for i in numbers])
+    after = _left(whole, whole.image, whole.struts, fold)
     others = [i for i, c in enumerate(settled.coordinates) if c.effect not in numbers]
     column = settled.column
     kept = None if not others else Column(None if column.image is None else column.image[:, others], column.struts[:, others], None)
     bare = planes if kept is None else planes.without(kept)
     done = _change(planes, [e for i, e in enumerate(k.effects) if i not in numbers])
     image = planes.image if done.image is None else planes.image + done.image[:, 0]
-    before = _left(bare, image, planes.struts + done.struts[:, 0])
+    before = _left(bare, image, planes.struts + done.struts[:, 0], fold)
     return _compared(planes, before, after, plane)
 
 
@@ -53,10 +55,16 @@ def _change(planes, effects):
     return Column(moved.image, struts + moved.struts)
 
 
-def _left(planes, image, struts):
+def _folds(frames, effects):
+    """(F,) which frames are held out together: a stretch of time; where an effect happens at one time, several shorter ones, so that what comes
+    before it and after it is never held out whole."""
+    count = min(FOLDS, frames // 4)
+    return blocks(frames, min(SHORTER * FOLDS, frames // 4)) % count if any(e.name in SUDDEN for e in effects) else blocks(frames, count)
+
+
+def _left(planes, image, struts, fold):
     """(image (2n,), struts (F axes,)) residuals of frames that were held out, freedoms and admitted parameters fitted on the others."""
     F, axes = planes.frames, planes.knowledge.axes
-    fold = blocks(F, min(FOLDS, F // 4))
     Q = planes.basis
     gram = planes.framewise[1]
     right = np.stack([Q.image[a:b].T @ image[a:b] + Q.struts[f * axes : (f + 1) * axes].T @ struts[f * axes : (f + 1) * axes]
