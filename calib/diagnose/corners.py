@@ -7,6 +7,7 @@ from vision import lens
 from vision.adjust import lens_prior
 from vision.derivatives import derivatives
 
+EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
 FINDER = 0.005  # px; standard deviation of what a corner finder may shift all edges of a camera's images by
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
@@ -44,7 +45,7 @@ def corner_rows(k):
         moved = np.zeros_like(quads)
         moved[at] = EdgeBias(f"camera {name}", 1.0).print_(k.stated.cameras[i], quads[at]) - quads[at]
         shared.append(whitener @ moved[seen.row, o.corner][..., None])
-        names.append((name, "edges"))
+        names.append((name, EDGES))
         priors.append(1 / FINDER)
     order = np.lexsort((o.camera, o.frame))
     edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))

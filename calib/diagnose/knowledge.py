@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.pipeline import sample_recording
 from rig import machine, mechanisms
 from rig.design import Design
+from rig.effects.edge_bias import EdgeBias
 from rig.errors import NotEnoughData, RigError
 from rig.pose import exp
 from rig.recording import Commands, Sensors
@@ -41,6 +42,7 @@ class Knowledge:
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None; common : (F, 6, k) their shared errors
     commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
+    finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     """
@@ -56,6 +58,7 @@ class Knowledge:
     sensors: Sensors | None
     seen: Seen | None
     effects: tuple = ()
+    finder: tuple[float, ...] = ()
     standing: float = 0.0
     known: tuple | None = None
 
@@ -112,7 +115,8 @@ class Knowledge:
         seen = self.seen
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
-        quads = see(sightings, self.state, seen.markers, self.t, effects, self.sensors, run)
+        shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
+        quads = see(sightings, self.state, seen.markers, self.t, [*effects, *shifted], self.sensors, run)
         return quads if rows is not None else quads[seen.row, seen.observations.corner]
 
     def with_effects(self, effects):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnose.corners import EDGES
 from calib.diagnose.planes import Column
 from calib.samples import blocks
 
@@ -16,7 +17,8 @@ RIDGE = 1e-9  # keeps directions that a training set cannot see where they stood
 class Proof:
     """Held-out misfit without an effect and with it, and what noise alone leaves; unit "m" (struts) or "px" (corners).
 
-    gain : by which the whitened sum of squares falls on held-out frames, in standard errors of its sum over stretches of frames
+    gain : by which the whitened sum of squares falls on held-out frames, in standard errors of its sum over stretches of frames; what
+    is known of the corner finder beforehand was fitted to no frame either, and counts with them
     """
 
     before: float
@@ -63,13 +65,16 @@ def _folds(frames, effects):
 
 
 def _left(planes, image, struts, fold):
-    """(image (2n,), struts (F axes,)) residuals of frames that were held out, freedoms and admitted parameters fitted on the others."""
+    """(image (2n,), struts (F axes,), finder (cameras,)) residuals of frames that were held out, freedoms and admitted parameters fitted on the
+    others; and in standard deviations the biases of edges that the corner finder must have for all frames."""
     F, axes = planes.frames, planes.knowledge.axes
     Q = planes.basis
     gram = planes.framewise[1]
     right = np.stack([Q.image[a:b].T @ image[a:b] + Q.struts[f * axes : (f + 1) * axes].T @ struts[f * axes : (f + 1) * axes]
                       for f, (a, b) in enumerate(zip(2 * planes.edges[:-1], 2 * planes.edges[1:]))])
     priors = Q.struts[F * axes :]
+    finder = [j for j, (_, name) in enumerate(planes.names) if name == EDGES]
+    known = struts[F * axes :] - priors @ (right.sum(axis=0) + priors.T @ struts[F * axes :])
     out_image, out_struts = image.copy(), struts[: F * axes].copy()
     for hold in np.unique(fold):
         train = fold != hold
@@ -79,27 +84,28 @@ def _left(planes, image, struts, fold):
             rows = slice(2 * planes.edges[f], 2 * planes.edges[f + 1])
             out_image[rows] -= Q.image[rows] @ phi
             out_struts[f * axes : (f + 1) * axes] -= Q.struts[f * axes : (f + 1) * axes] @ phi
-    return out_image, out_struts
+    return out_image, out_struts, known[finder]
 
 
 def _compared(planes, before, after, plane):
     F, axes = planes.frames, planes.knowledge.axes
     squares = []
-    for image, struts in (before, after):
+    for image, struts, _ in (before, after):
         per_frame = np.add.reduceat(np.r_[image**2, 0.0], 2 * planes.edges[:-1]) * (np.diff(planes.edges) > 0) if len(image) else np.zeros(F)
         squares.append(per_frame + (struts.reshape(F, axes) ** 2).sum(axis=1))
     fold = blocks(F, min(20, F // 2))
     gain = np.bincount(fold, weights=squares[0] - squares[1])
     error = np.sqrt(len(gain)) * gain.std(ddof=1) if len(gain) > 1 else np.inf
+    gained = float((gain.sum() + before[2] @ before[2] - after[2] @ after[2]) / max(error, 1e-300))
     if plane == "struts":
         inverse = np.linalg.inv(planes.W)
-        figures = [np.sqrt(np.mean((inverse @ struts.reshape(F, axes, 1)) ** 2)) for _, struts in (before, after)]
+        figures = [np.sqrt(np.mean((inverse @ struts.reshape(F, axes, 1)) ** 2)) for _, struts, _ in (before, after)]
         floor = np.sqrt(np.mean(np.einsum("fij,fij->fi", inverse, inverse)))
-        return Proof(float(figures[0]), float(figures[1]), float(floor), "m", float(gain.sum() / max(error, 1e-300)))
+        return Proof(float(figures[0]), float(figures[1]), float(floor), "m", gained)
     px = corner_noise(planes)
     degrees = len(planes.image) - planes.local.shape[1] * F
-    figures = [px * np.sqrt((image**2).sum() / degrees) for image, _ in (before, after)]
-    return Proof(float(figures[0]), float(figures[1]), px, "px", float(gain.sum() / max(error, 1e-300)))
+    figures = [px * np.sqrt((image**2).sum() / degrees) for image, *_ in (before, after)]
+    return Proof(float(figures[0]), float(figures[1]), px, "px", gained)
 
 
 def corner_noise(planes):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.corners import standing
+from calib.diagnose.corners import EDGES, standing
 from calib.diagnose.knowledge import Knowledge, moved
 from calib.diagnose.planes import Column, Planes, linearise
 from calib.diagnose.search import column_of
@@ -272,6 +272,10 @@ def _apply(planes, freedoms, step, column, effects):
         matrix = cameras[i].matrix.copy()
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
+    finder = dict(enumerate(k.finder))
+    biases = [value for value, (_, name) in zip(freedoms, planes.names) if name == EDGES]
+    for i, value in zip(sorted(planes.camera_columns), biases):
+        finder[i] = finder.get(i, 0.0) + float(value)
     m = k.design.mechanism
     if k.axes:
         g = freedoms[len(planes.names) - 42 :]
@@ -279,4 +283,5 @@ def _apply(planes, freedoms, step, column, effects):
                     strut_zeros=m.strut_zeros + g[36:])
     if k.seen is None:
         local = np.zeros((planes.frames, 6))
-    return moved(k, cameras, m, local).with_effects(effects)
+    finder = tuple(finder.get(i, 0.0) for i in range(len(cameras))) if finder else ()
+    return replace(moved(k, cameras, m, local), effects=tuple(effects), finder=finder)
