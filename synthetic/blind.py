@@ -22,7 +22,6 @@ BLINDFOLDS = {"temperature": "no temperature is logged", "payload": "no load is 
 FRAMES = 380  # of a recording by default
 TRIES = 20  # of drawing something that the rig survives
 NOISE = (0.02, 0.08)  # px
-SIGNED = ("scale_error", "missed_steps", "time_offset", "clock_drift", "edge_bias", "print_scale", "focal_drift")
 WARP_POINTS = 12  # each way, at which the size of a lens's missing part is measured
 
 
@@ -148,7 +147,7 @@ def _value(kind, p, route, rng):
         return float(rng.uniform(low, high))
     size = _log(rng, low, high)
     if p.size == 1:
-        return float(rng.choice([-1, 1]) * size) if kind.name in SIGNED else size
+        return float(rng.choice([-1, 1]) * size) if p.signed else size
     return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
 
 

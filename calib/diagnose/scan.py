@@ -15,6 +15,8 @@ from scipy.stats import chi2, f as fisher
 SWALLOWED = 1e-6  # share of a direction's square that the freedoms must leave for it to count as seen
 CHUNK = 64  # shapes at a time
 PEAKS = 6  # frequencies that are looked at closely
+BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
+WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter has the sign that rigs do not show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +50,37 @@ class Score:
     def raw_gain(self, size):
         """The same with the dispersion not allowed for, to rank by: what is not modelled yet disperses all, the right answer most."""
         return self.drop * self.dispersion - self.freedom * np.log(size)
+
+
+    def occam(self, size):
+        """What its parameters cost it against other hypotheses, as minus twice a logarithm, for residuals of a size.
+
+        A number that rigs show over some range is as likely at every order of magnitude of it, and hardly ever beyond or of the wrong sign: its
+        cost is that of Laplace's approximation. A shape's parameter costs what the search over it shows; all else, half the logarithm of the size
+        for each (MacKay, Information theory, inference and learning algorithms, 2003, ch. 28).
+        """
+        asked = {name for name, *_ in self.family.linear} | set(self.shape)
+        scalars = [p for p in self.family.kind.parameters if p.size == 1 and p.name in asked and p.role in ("linear", "inverse", "size")]
+        sharp = max(np.sqrt(max(self.drop, 0.0) / max(len(scalars), 1)), 1.0)
+        cost = sum(_prior_cost(p, getattr(self.effect, p.name), sharp) for p in scalars)
+        cost += np.log(size) * (len(self.coefficients) - sum(p.role != "size" for p in scalars))
+        searched = {p.name for p in self.family.kind.parameters if p.role in ("log", "even", "moment")} & set(self.shape)
+        if searched and len(self.curve) > 1:
+            cost -= 2 * np.log(np.mean(np.exp((self.curve - self.curve.max()) / 2)))
+        elif self.family.extra and not any(p.role == "size" for p in scalars):
+            cost += self.family.extra * np.log(size)
+        return float(cost)
+
+
+def _prior_cost(parameter, value, sharp):
+    """Of a scalar parameter at a value that is `sharp` standard deviations from nothing: how little of what rigs show the data leave of it."""
+    low, high = parameter.usual
+    if parameter.role == "inverse":
+        low, high, value = 1 / high, 1 / low, 1 / value
+    cost = 2 * np.log(sharp * np.log(high / low) * (2 if parameter.signed else 1) / np.sqrt(2 * np.pi))
+    if value < 0 and not parameter.signed:
+        cost += WRONG_SIGN
+    return cost + (np.log(max(abs(value) / high, 1.0)) / BEYOND) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

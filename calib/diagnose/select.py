@@ -11,11 +11,13 @@ from calib.diagnose.settle import Settled, admit, settle, tangents
 from calib.diagnose.smooth import cover, covered
 from calib.diagnose.unknown import unknowns
 from rig.effects.base import check
+from rig.effects.edge_bias import EdgeBias
 from rig.effects.transmission_error import TransmissionError
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
 GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
-ALIKE = 6.0  # of the same criterion: hypotheses closer than this are not told apart
+ALIKE = 6.0  # minus twice the logarithm of odds, from which hypotheses are told apart
+REFITTED = 4  # hypotheses that are fitted in a finding's place
 COSINE = 0.99  # between signatures, freedoms taken out, from which two are the same
 NEAR = 0.03  # of a finding's drop; a rival whose signature is nearly the same lies no farther behind
 MOST = 6  # effects at once
@@ -26,7 +28,7 @@ TRIED = 3  # hypotheses that may fail there before the search ends
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
-    """score : of a hypothesis in place of a finding; behind : how much worse it does, by the Bayesian criterion; cosine of the signatures."""
+    """score : of a hypothesis in place of a finding; behind : how much less likely it is, as minus twice a logarithm; cosine of the signatures."""
 
     score: object
     behind: float
@@ -136,12 +138,12 @@ def _confirm(settled, chosen, families, signatures, progress):
         if not convincing(score, len(families), settled.planes.size):  # beside all others it is none
             settled, chosen, number, findings = _left_out(settled, number, signatures), chosen[:number] + chosen[number + 1 :], 0, []
             continue
+        rivals, refitted = _refitted(settled, number, score, rivals, signatures)
         better = rivals and rivals[0].behind < -1.0 and convincing(rivals[0].score, len(families), settled.planes.size)
-        replaced = _replaced(settled, number, rivals[0].score, signatures) if better else None
-        if replaced is not None:
-            settled, chosen[number], number, findings = replaced, rivals[0].score.family, 0, []
+        if better and rivals[0] in refitted:
+            settled, chosen[number], number, findings = refitted[rivals[0]], rivals[0].score.family, 0, []
             continue
-        findings.append(Finding(number, score, [r for r in rivals if r.behind < ALIKE or abs(r.cosine) > COSINE]))
+        findings.append(Finding(number, score, [r for r in rivals if _alike(r)]))
         number += 1
     return settled, chosen, sorted(findings, key=lambda f: -f.score.drop)
 
@@ -165,8 +167,13 @@ def supported(selection, families, signatures, left):
 
 
 def beside(settled, number):
-    """Planes without an admitted effect."""
-    return linearise(settled.knowledge.with_effects(tuple(e for i, e in enumerate(settled.knowledge.effects) if i != number)))
+    """Planes without an admitted effect; a bias of edges is handed to the corner finder, so that corners that it moved far still count in full."""
+    k = settled.knowledge
+    taken = k.effects[number]
+    if isinstance(taken, EdgeBias):
+        finder = k.finder or (0.0,) * len(k.design.cameras)
+        k = replace(k, finder=tuple(b + taken.bias * taken.at(f"camera {c.name}") for b, c in zip(finder, k.design.cameras)))
+    return linearise(k.with_effects(tuple(e for i, e in enumerate(k.effects) if i != number)))
 
 
 def freed(planes, signatures):
@@ -175,17 +182,30 @@ def freed(planes, signatures):
     return planes if column is None else planes.without(column)
 
 
-def _replaced(settled, number, score, signatures):
-    """Settled with a hypothesis in place of an admitted effect, at the same number, where it fits better for its size; else None."""
-    effects = list(settled.knowledge.effects)
-    effects.pop(number)
-    new = admit(settle(settled.knowledge.with_effects(effects), signatures), score, signatures)
-    size = np.log(settled.planes.size)
-    if new.likelihood() + len(new.coordinates) * size >= settled.likelihood() + len(settled.coordinates) * size - 1:
-        return None
-    effects = list(new.knowledge.effects)
-    effects.insert(number, effects.pop())
-    return settle(new.knowledge.with_effects(effects), signatures)
+def _alike(rival):
+    """Whether a Rival is not told apart from its finding."""
+    return rival.behind < ALIKE or abs(rival.cosine) > COSINE
+
+
+def _refitted(settled, number, score, rivals, signatures):
+    """([Rival] by weight, {Rival: Settled with it in the finding's place}).
+
+    Those that a scan does not tell from a finding are fitted with all that is free: a scan takes for scatter what is not admitted yet, and
+    so tells of a strong effect far less than it could.
+    """
+    close = [r for r in rivals if _alike(r)][:REFITTED]
+    if not close:
+        return rivals, {}
+    size = settled.planes.size
+    own = settled.likelihood() + score.occam(size)
+    bare, out = _left_out(settled, number, signatures), {}
+    for r in close:
+        new = admit(bare, r.score, signatures.at(bare.knowledge))
+        effects = list(new.knowledge.effects)
+        effects.insert(number, effects.pop())
+        behind = new.likelihood() + r.score.occam(size) - own
+        out[replace(r, behind=behind)] = settle(new.knowledge.with_effects(effects), signatures)
+    return sorted([*out, *(r for r in rivals if r not in close)], key=lambda r: r.behind), out
 
 
 def _rivals(settled, number, chosen, families, signatures, progress):
@@ -200,7 +220,7 @@ def _rivals(settled, number, chosen, families, signatures, progress):
     for s in scores:  # the best of each kind and place first
         if s.family is own.family or (s.family.kind is own.family.kind and s.family.place == own.family.place):
             continue
-        behind = own.raw_gain(planes.size) - s.raw_gain(planes.size)
+        behind = own.drop * own.dispersion - own.occam(planes.size) - s.drop * s.dispersion + s.occam(planes.size)
         if behind > max(2 * ALIKE, NEAR * own.drop * own.dispersion) or s.p_value > 1e-4:
             continue
         if (s.family.kind, s.family.place) in listed:

@@ -18,7 +18,8 @@ REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stat
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """name; unit; bounds : (low, high) that make sense; usual : (low, high) that rigs show; size : numbers it has, 0 for any.
+    """name; unit; bounds : (low, high) that make sense; usual : (low, high) that rigs show; size : numbers it has, 0 for any
+    signed : whether minus what is usual is as usual.
 
     role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
     (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a shape's
@@ -32,6 +33,7 @@ class Parameter:
     usual: tuple[float, float]
     size: int = 1
     role: str = "linear"
+    signed: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

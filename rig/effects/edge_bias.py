@@ -17,7 +17,7 @@ class EdgeBias(Effect):
     name: ClassVar = "edge_bias"
     stage: ClassVar = "view"
     places: ClassVar = ("camera", "cameras")
-    parameters: ClassVar = (Parameter("bias", "px", (-3, 3), (0.05, 0.5)),)
+    parameters: ClassVar = (Parameter("bias", "px", (-3, 3), (0.05, 0.5), signed=True),)
     experiment: ClassVar = "vary the range: constant in pixels it is this, constant in millimetres it is the print"
 
     def print_(self, camera, quads):

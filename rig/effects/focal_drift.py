@@ -17,7 +17,7 @@ class FocalDrift(Effect):
     name: ClassVar = "focal_drift"
     stage: ClassVar = "view"
     places: ClassVar = ("cameras", "camera")
-    parameters: ClassVar = (Parameter("per_kelvin", "1/K", (-1e-2, 1e-2), (1e-5, 4e-4)),)
+    parameters: ClassVar = (Parameter("per_kelvin", "1/K", (-1e-2, 1e-2), (1e-5, 4e-4), signed=True),)
     experiment: ClassVar = "watch fixed cubes while the temperature changes"
 
     def focal(self, camera, t, channel):

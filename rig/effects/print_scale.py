@@ -15,7 +15,7 @@ class PrintScale(Effect):
     name: ClassVar = "print_scale"
     stage: ClassVar = "targets"
     places: ClassVar = ("markers",)
-    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3)),)
+    parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3), signed=True),)
     experiment: ClassVar = "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
 
     def attach(self, markers):

@@ -15,7 +15,7 @@ class ScaleError(Effect):
     name: ClassVar = "scale_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3)),)
+    parameters: ClassVar = (Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3), signed=True),)
     experiment: ClassVar = "a certified length along the strut, or a target of certified size: all six scales equal look like a print scale"
 
     def deviation(self, motion):
