@@ -90,7 +90,8 @@ def _finer(settled, taken, best, scores, signatures):
     for score in scores:
         if score.family.kind is TransmissionError and score.family.place == best.family.place and score.family is not best.family:
             trials.append((admit(settled, score, signatures), score))
-    return min(trials, key=lambda trial: trial[0].likelihood() + len(trial[0].coordinates) * np.log(trial[0].planes.size))
+    least = min(trial.knowledge.standing for trial, _ in trials)
+    return min(trials, key=lambda trial: trial[0].likelihood(least) + len(trial[0].coordinates) * np.log(trial[0].planes.size))
 
 
 def _beyond(planes, best):
@@ -197,13 +198,13 @@ def _refitted(settled, number, score, rivals, signatures):
     if not close:
         return rivals, {}
     size = settled.planes.size
-    own = settled.likelihood() + score.occam(size)
     bare, out = _left_out(settled, number, signatures), {}
     for r in close:
         new = admit(bare, r.score, signatures.at(bare.knowledge))
         effects = list(new.knowledge.effects)
         effects.insert(number, effects.pop())
-        behind = new.likelihood() + r.score.occam(size) - own
+        least = min(new.knowledge.standing, settled.knowledge.standing)
+        behind = new.likelihood(least) - settled.likelihood(least) + r.score.occam(size) - score.occam(size)
         out[replace(r, behind=behind)] = settle(new.knowledge.with_effects(effects), signatures)
     return sorted([*out, *(r for r in rivals if r not in close)], key=lambda r: r.behind), out
 

@@ -63,9 +63,11 @@ class Settled:
     covariance: np.ndarray
     column: Column | None
 
-    def likelihood(self):
-        """Minus twice the log likelihood at the optimum, but for a constant."""
-        return _comparable(self.planes)
+    def likelihood(self, standing=None):
+        """Minus twice the log likelihood at the optimum, but for a constant; to compare with another, where standing corners repeat as many px."""
+        if standing is None or standing == self.knowledge.standing:
+            return _comparable(self.planes)
+        return _comparable(linearise(replace(self.knowledge, standing=standing)))
 
     def wald(self, effect):
         """(statistic, parameters): how far effect number `effect` stands from nothing, in squared standard deviations, its shape held:
