@@ -15,8 +15,9 @@ from vision.observations import whitener
 from vision.predict import State, predict
 from vision.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 120
 CONVERGED = 1e-9  # relative decrease of the cost
+MORE, LEAST = 3.0, 1e-8  # damping after a step that does not pay, over the one before; the first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,12 +80,12 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
         moved = move(estimate, u, *step(blocks, u, damping))
         new = cost_of(observations, moved, stated, u, W)
         if not new <= cost * (1 + 1e-12):
-            damping = max(10 * damping, 1e-6)
+            damping = max(MORE * damping, LEAST)
             if damping > 1e8:
                 raise RigError(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
             continue
         done = cost - new <= CONVERGED * max(cost, 1.0)
-        estimate, damping, blocks = moved, damping / 10 if damping > 1e-7 else 0.0, None
+        estimate, damping, blocks = moved, damping / MORE if damping > LEAST else 0.0, None
         if done:
             break
     else:
