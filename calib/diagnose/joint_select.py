@@ -8,7 +8,7 @@ from calib.diagnose import joint_scan
 from calib.diagnose.joint_families import FINE, KNOTS
 from calib.diagnose.joint_prove import gain, held
 from calib.diagnose.joints import Fit, fit
-from calib.diagnose.scan import Score
+from calib.diagnose.scan import Rival, Score
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, joints and searches
 GAIN = 10.0  # of the Bayesian information criterion that an effect must bring
@@ -25,15 +25,6 @@ OWN = ("scale_error", "cyclic_error", "transmission_error")  # what depends on a
 ALIASES = 3  # other orders of a sinusoid that are looked at
 ONCE = ("scale_error", "transmission_error", "compliance")  # at a joint; a second one would be the first
 CYCLES = 2  # sinusoids that a profile is tried to be made of
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """score : of a hypothesis in place of a finding; behind : how much worse by the Bayesian criterion; cosine of the signatures."""
-
-    score: Score
-    behind: float
-    cosine: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -59,9 +59,9 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     selection = select(knowledge, asked, signatures, progress)
     left = unknowns(_bare(selection.settled))
     if left:
-        selection = supported(selection, asked, signatures, left)
+        selection = supported(selection, signatures, left)
         left = unknowns(_bare(selection.settled))
-    selection = unlogged(selection, asked, signatures)
+    selection = unlogged(selection, signatures)
     plane = "struts" if knowledge.axes else "view"
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2, f as fisher
 
-SWALLOWED = 1e-6  # share of a direction's square that the freedoms must leave for it to count as seen
+SWALLOWED = 1e-7  # share of a direction's square that the freedoms must leave for it to count as seen
 CHUNK = 64  # shapes at a time
 PEAKS = 6  # frequencies that are looked at closely
 BEYOND = 0.3  # standard deviation of the logarithm of a parameter above what rigs show
@@ -70,6 +70,15 @@ class Score:
         elif self.family.extra and not any(p.role == "size" for p in scalars):
             cost += self.family.extra * np.log(size)
         return float(cost)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """score : of a hypothesis in place of a finding; behind : how much less likely it is, as minus twice a logarithm; cosine of the signatures."""
+
+    score: Score
+    behind: float
+    cosine: float
 
 
 def _prior_cost(parameter, value, sharp):
@@ -202,4 +211,4 @@ def dispersion(planes, atoms, weights, coefficients):
     return max(1.0, float(ratio.mean() if seen.any() else 1.0) * few), active
 
 
-__all__ = ["Atoms", "Score", "davies", "dispersion", "framewise", "solve", "stepwise", "strut_atoms", "view_atoms", "whole"]
+__all__ = ["Atoms", "Rival", "Score", "davies", "dispersion", "framewise", "solve", "stepwise", "strut_atoms", "view_atoms", "whole"]

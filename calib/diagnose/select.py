@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.planes import linearise
+from calib.diagnose.planes import Column, linearise
 from calib.diagnose.prove import prove
+from calib.diagnose.scan import Rival
 from calib.diagnose.search import column_of, search
-from calib.diagnose.settle import Settled, admit, settle, tangents
+from calib.diagnose.settle import Settled, admit, released, resettle, settle, tangents
 from calib.diagnose.smooth import cover, covered
 from calib.diagnose.unknown import unknowns
 from rig.effects.base import check
-from rig.effects.edge_bias import EdgeBias
 from rig.effects.transmission_error import TransmissionError
 
 ALPHA = 1e-3  # chance of a finding where there is nothing, over all effects, places and searches
@@ -24,15 +24,6 @@ MOST = 6  # effects at once
 HELD_OUT = 0.5  # standard errors by which an effect must do better on stretches that it was not fitted to; its weight is tested elsewhere
 BEYOND = 2.0  # times a name's gain, from which a smooth function without one explains so much more that no further name is given
 TRIED = 3  # hypotheses that may fail there before the search ends
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rival:
-    """score : of a hypothesis in place of a finding; behind : how much less likely it is, as minus twice a logarithm; cosine of the signatures."""
-
-    score: object
-    behind: float
-    cosine: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +117,7 @@ def _prune(settled, chosen, signatures):
 
 def _left_out(settled, number, signatures):
     """Settled without an admitted effect."""
-    return settle(settled.knowledge.with_effects([e for i, e in enumerate(settled.knowledge.effects) if i != number]), signatures)
+    return settle(released(settled, number), signatures)
 
 
 def _confirm(settled, chosen, families, signatures, progress):
@@ -135,8 +126,9 @@ def _confirm(settled, chosen, families, signatures, progress):
     for _ in range(2 * MOST):
         if number == len(chosen):
             break
-        score, rivals = _rivals(settled, number, chosen, families, signatures, progress)
-        if not convincing(score, len(families), settled.planes.size):  # beside all others it is none
+        planes = freed(beside(settled, number, signatures), signatures)
+        score, rivals = _rivals(planes, settled, number, chosen, families, signatures, progress)
+        if not convincing(score, len(families), settled.planes.size) or _outdone(score, planes):  # beside all others it is none
             settled, chosen, number, findings = _left_out(settled, number, signatures), chosen[:number] + chosen[number + 1 :], 0, []
             continue
         rivals, refitted = _refitted(settled, number, score, rivals, signatures)
@@ -149,16 +141,16 @@ def _confirm(settled, chosen, families, signatures, progress):
     return settled, chosen, sorted(findings, key=lambda f: -f.score.drop)
 
 
-def supported(selection, families, signatures, left):
+def supported(selection, signatures, left):
     """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
     as well, or which explain less than they leave at their place. left : [Unknown]"""
     settled, kept = selection.settled, []
     for f in selection.findings:
         if any(u.drop > f.score.drop for u in left if u.depends_on and u.within(f.score.family.place)):
             continue
-        planes = beside(settled, f.number)
+        planes = beside(settled, f.number, signatures)
         planes = freed(covered(planes, *cover(planes, left)), signatures)
-        if convincing(search(planes, [f.score.family], signatures.at(planes.knowledge))[0], len(families), planes.size):
+        if stands(f, planes, selection.families, signatures):
             kept.append(f)
     if len(kept) == len(selection.findings):
         return selection
@@ -167,14 +159,18 @@ def supported(selection, families, signatures, left):
     return replace(selection, settled=settled, findings=[replace(f, number=numbers.index(f.number)) for f in kept])
 
 
-def beside(settled, number):
-    """Planes without an admitted effect; a bias of edges is handed to the corner finder, so that corners that it moved far still count in full."""
+def stands(finding, planes, count, signatures):
+    """Whether a Finding convinces on Planes without it, of so many families asked."""
+    return convincing(search(planes, [finding.score.family], signatures.at(planes.knowledge))[0], count, planes.size)
+
+
+def beside(settled, number, signatures):
+    """Planes without an admitted effect. What moves corners is first taken up by cameras and poses as far as they can: corners that it moved far
+    would be clipped, and what it does would no longer be linear."""
     k = settled.knowledge
-    taken = k.effects[number]
-    if isinstance(taken, EdgeBias):
-        finder = k.finder or (0.0,) * len(k.design.cameras)
-        k = replace(k, finder=tuple(b + taken.bias * taken.at(f"camera {c.name}") for b, c in zip(finder, k.design.cameras)))
-    return linearise(k.with_effects(tuple(e for i, e in enumerate(k.effects) if i != number)))
+    if k.effects[number].stage in ("targets", "view"):
+        return resettle(released(settled, number), signatures).planes
+    return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
 
 
 def freed(planes, signatures):
@@ -209,9 +205,18 @@ def _refitted(settled, number, score, rivals, signatures):
     return sorted([*out, *(r for r in rivals if r not in close)], key=lambda r: r.behind), out
 
 
-def _rivals(settled, number, chosen, families, signatures, progress):
-    """(Score of a finding, [Rival] by weight) with the other findings admitted and their parameters free."""
-    planes = freed(beside(settled, number), signatures)
+def _outdone(score, planes):
+    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show, or
+    the place is another."""
+    if any(index is not None for _, index, _ in score.family.linear):
+        return False
+    size = planes.size
+    smooth = [u.drop * u.dispersion - u.freedom * np.log(size) for u in unknowns(planes) if u.dispersion]
+    return bool(smooth) and max(smooth) > score.drop * score.dispersion - score.occam(size) + ALIKE
+
+
+def _rivals(planes, settled, number, chosen, families, signatures, progress):
+    """(Score of a finding, [Rival] by weight) on Planes without it, with the other findings admitted and their parameters free."""
     signatures = signatures.at(planes.knowledge)
     label = f"rivals of {settled.knowledge.effects[number].name}"
     scores = search(planes, families, signatures, (lambda done, of: progress(label, done, of)) if progress else None)
@@ -236,7 +241,7 @@ def _signature(planes, score, signatures):
     """Column (1) of what a Score's effect does as scanned, freedoms not yet taken out."""
     column = column_of(planes, score.family, score.shape, signatures)
     theta = score.coefficients if len(score.coefficients) else np.ones(1)
-    return type(column)(None if column.image is None else column.image @ theta[:, None], column.struts @ theta[:, None])
+    return Column(None if column.image is None else column.image @ theta[:, None], column.struts @ theta[:, None])
 
 
 def _cosine(planes, a, b):

@@ -54,7 +54,7 @@ class Coordinate:
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
     """knowledge, planes : at the optimum; coordinates : of the effects' parameters; values : (c,); covariance : (c, c) of them
-    given nothing else; column : Column of their directions; strength : {effect: Wald's statistic}"""
+    given nothing else; column : Column of their directions"""
 
     knowledge: Knowledge
     planes: Planes
@@ -101,11 +101,10 @@ def admit(settled, score, signatures):
     """Settled with a Score's effect besides: all that is free moves with it from the start, so that even a large one fits in."""
     planes, k = settled.planes, settled.knowledge
     column, theta = column_of(planes, score.family, score.shape, signatures), score.coefficients
+    parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
     if not len(theta):  # its size is its shape: the rest makes room
-        parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
         step = np.r_[np.zeros(len(settled.coordinates)), 1.0]
     else:
-        parts = joined([c for c in (settled.column, column) if c is not None], len(planes.image), planes.local.shape[1], planes.frames)
         by = {p.name: p for p in score.family.kind.parameters}
         loose = [_loose(by[name], index) if name in by else 0.0 for name, index, _ in score.family.linear]
         step = _step(planes, parts, np.r_[_priors(settled.coordinates, k.effects), loose], np.r_[settled.values, np.zeros(len(loose))])[0]
@@ -117,9 +116,18 @@ def admit(settled, score, signatures):
     try:
         effects = [check(effect) for effect in (*effects, score.family.effect(score.shape, theta))]
         knowledge = _apply(planes, planes.solve @ z, step, parts, effects)
-    except ValueError:
+    except ValueError:  # so large a step leaves what makes sense: all starts from where it stands, the effect as scanned
         knowledge = k.with_effects((*k.effects, score.effect))
     return settle(knowledge, signatures)
+
+
+def released(settled, number):
+    """Knowledge without an admitted effect, all that is free moved to where it makes up for it: the reverse of `admit`."""
+    planes, effects = settled.planes, settled.knowledge.effects
+    step = np.array([-v if c.effect == number and c.role in ("linear", "inverse", "size") else 0.0
+                     for c, v in zip(settled.coordinates, settled.values)])
+    z = planes.at_rest - planes.project(settled.column)[0] @ step
+    return _apply(planes, planes.solve @ z, step, settled.column, [e for i, e in enumerate(effects) if i != number])
 
 
 def settle(knowledge, signatures):
@@ -127,12 +135,13 @@ def settle(knowledge, signatures):
 
     Standing corners are first taken at their covariance; only what they then still miss together, in every frame, loosens them.
     """
-    settled = _settle(replace(knowledge, standing=0.0), signatures)
+    settled = resettle(replace(knowledge, standing=0.0), signatures)
     left = standing(settled.knowledge)
-    return _settle(replace(settled.knowledge, standing=left), signatures) if left else settled
+    return resettle(replace(settled.knowledge, standing=left), signatures) if left else settled
 
 
-def _settle(knowledge, signatures):
+def resettle(knowledge, signatures):
+    """The same, where standing corners repeat as much as the knowledge says."""
     planes = linearise(knowledge)
     coordinates, column = tangents(planes, signatures)
     for _ in range(MAX_ITERATIONS):

@@ -6,9 +6,8 @@ import numpy as np
 
 from calib.diagnose.hypotheses import Family
 from calib.diagnose.planes import Column
-from calib.diagnose.scan import Score
-from calib.diagnose.select import Rival, beside, convincing, freed
-from calib.diagnose.search import search
+from calib.diagnose.scan import Rival, Score
+from calib.diagnose.select import beside, freed, stands
 from calib.diagnose.settle import joined
 from calib.diagnose.smooth import SLOW, cosines
 from rig.effects.base import REFERENCE_TEMPERATURE
@@ -17,26 +16,27 @@ from rig.effects.focal_drift import FocalDrift
 from rig.effects.thermal_expansion import ThermalExpansion
 from rig.recording import Sensors
 
-WARM = ((ThermalExpansion, "coefficient", 1e-5), (BaseExpansion, "coefficient", 1e-5), (FocalDrift, "per_kelvin", 1e-5))
+WARM = (ThermalExpansion, BaseExpansion, FocalDrift)
+STEP = 1e-5  # 1/K
 
 
-def unlogged(selection, families, signatures):
+def unlogged(selection, signatures):
     """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth function of time, has that
     effect among its rivals; effects whose temperature was logged are not asked for."""
     settled = selection.settled
     k = settled.knowledge
-    kinds = [(kind, name, step) for kind, name, step in WARM if not _logged(k, kind) and (k.axes if kind.stage != "view" else k.seen is not None)]
+    kinds = [kind for kind in WARM if not _logged(k, kind) and (k.axes if kind.stage != "view" else k.seen is not None)]
     if not kinds or not selection.findings:
         return selection
     findings = []
     for f in selection.findings:
-        planes, rivals = beside(settled, f.number), list(f.rivals)
+        planes, rivals = beside(settled, f.number, signatures), list(f.rivals)
         alone = freed(planes, signatures)
         own = f.score.drop * f.score.dispersion
-        for kind, name, step in kinds:
-            column = _courses(planes, kind, name, step)
+        for kind in kinds:
+            column = _courses(planes, kind)
             warm = freed(planes.without(column), signatures)
-            if convincing(search(warm, [f.score.family], signatures.at(planes.knowledge))[0], len(families), planes.size):
+            if stands(f, warm, selection.families, signatures):
                 continue
             drop = alone.cost() - warm.cost()
             score = Score(Family(kind, _place(kind), [{}], []), {}, np.zeros(0), drop, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
@@ -57,7 +57,7 @@ def _place(kind):
     return "rig" if "rig" in kind.places else kind.places[0]
 
 
-def _courses(planes, kind, name, step):
+def _courses(planes, kind):
     """Column (SLOW) of an effect under temperatures that are cosines of time."""
     k, parts = planes.knowledge, []
     place = _place(kind)
@@ -65,9 +65,9 @@ def _courses(planes, kind, name, step):
     order = np.argsort(k.t)
     for course in cosines(k.t, SLOW).T:
         known = replace(k, sensors=Sensors(k.t[order], {channel: REFERENCE_TEMPERATURE + course[order] for channel in channels}))
-        effect = kind(place, **{name: step})
+        effect = kind(place, **{kind.parameters[0].name: STEP})
         if kind.stage == "view":
-            parts.append(planes.fold(((known.pixels((*k.effects, effect)) - known.pixels(k.effects)) / step)[..., None]))
+            parts.append(planes.fold(((known.pixels((*k.effects, effect)) - known.pixels(k.effects)) / STEP)[..., None]))
         else:
-            parts.append(Column(None, planes.whitened((effect.deviation(known.motion(())) / step)[..., None])))
+            parts.append(Column(None, planes.whitened((effect.deviation(known.motion(())) / STEP)[..., None])))
     return joined(parts, len(planes.image), planes.local.shape[1], planes.frames)

@@ -1,0 +1,96 @@
+"""Between hypotheses: what a parameter costs, what a refit tells that a scan does not, names that give way, temperatures nobody logged."""
+
+import numpy as np
+import pytest
+
+from calib.diagnose import result
+from calib.diagnose.hypotheses import Family, Signatures
+from calib.diagnose.knowledge import of_recording
+from calib.diagnose.scan import Score
+from calib.diagnose.settle import settle
+from rig import plan, recording
+from rig.effects import BY_NAME
+from rig.effects.parse import parse
+from rig.layout import layout
+from synthetic import outlaws, simulation, world
+
+PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
+
+
+def recorded(folder, design, *effects, logged=True, route=PLAN, seed=5):
+    """Recording of a secret machine with effects, its temperatures logged or not."""
+    rng = np.random.default_rng(seed)
+    done = simulation.simulate(world.draw(design, rng, 1.0, effects), plan.build(design, route, seed), rng)
+    simulation.write(done, folder, layout(0.3), rng, 0.04)
+    if not logged:
+        lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
+        kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
+        (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
+    return recording.load(folder)
+
+
+def score(name, place, shape, coefficients, linear, drop=400.0, curve=None):
+    """Score of an effect with one or no linear parameter."""
+    family = Family(BY_NAME[name], place, [shape], linear)
+    return Score(family, shape, np.array(coefficients), drop, 1e-9, 1, 1.0, 1.0, np.array([drop]) if curve is None else curve)
+
+
+def test_what_rigs_do_not_show_costs_more():
+    def cost(coefficient):
+        return score("thermal_expansion", "rig", {}, [coefficient], [("coefficient", None, 1e-6)]).occam(5000)
+
+    usual = cost(1.2e-5)
+    assert cost(2.0e-5) == pytest.approx(usual) and cost(8e-5) > usual + 10 and cost(-1.2e-5) > usual + 10
+    # as sharp as that, over so many orders of magnitude, with either sign
+    offset = score("time_offset", "clock", {}, [-0.01], [("offset", None, 1e-3)]).occam(5000)
+    assert offset == pytest.approx(2 * np.log(20 * np.log(60) * 2 / np.sqrt(2 * np.pi)))
+    lag = score("servo_lag", "rig", {"time_constant": 0.01}, [], []).occam(5000)
+    assert offset - lag == pytest.approx(2 * np.log(np.log(60) * 2 / np.log(50)))
+    # reciprocals: a soft strut is the large effect
+    soft, stiff = (score("compliance", "rig", {}, [1 / k], [("stiffness", None, 1e-7)]).occam(5000) for k in (1e5, 1e7))
+    assert soft > stiff + 10
+
+
+def test_a_shape_costs_what_the_search_over_it_shows():
+    shapes = np.full(16, 100.0)
+    flat, sharp = shapes.copy(), shapes.copy()
+    sharp[:] = 0
+    flat[5] = sharp[5] = 100.0
+    costs = [score("warm_up", "rig", {"time_constant": 900.0}, [2e-5], [("amplitude", None, 1e-6)], 100.0, curve).occam(5000)
+             for curve in (flat, sharp)]
+    assert costs[1] - costs[0] == pytest.approx(2 * np.log(16))
+
+
+def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
+    rec = recorded(tmp_path, design, parse("servo_lag:rig:time_constant=0.045"), route="moving:40,sobol:30,moving:40")
+    finding, = result.to_dict(result.diagnose(rec, only=["servo_lag", "time_offset"]))["findings"]
+    assert (finding["effect"], finding["place"]) == ("servo_lag", "rig")
+    assert all(r["delta_bic"] > 20 for r in finding["cannot_be_told_from"])
+
+
+def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design):
+    knowledge = of_recording(recorded(tmp_path, design, parse("edge_bias:cameras:bias=0.25"), route="sobol:40"))[0]
+    settled = settle(knowledge, Signatures(knowledge))
+    np.testing.assert_allclose(settled.knowledge.finder, 0.25, atol=0.02)
+    planes = settled.planes
+    assert settled.knowledge.standing < 0.01 and (planes.image**2).sum() == pytest.approx(len(planes.image) - 6 * planes.frames, rel=0.1)
+    strained = planes.struts[6 * planes.frames :]
+    assert 3 * 40**2 < strained @ strained < 3 * 60**2  # what is known of finders says that this is none
+
+
+def test_a_step_soon_after_the_start_is_found(tmp_path, design):
+    found = result.diagnose(recorded(tmp_path, design, parse("missed_steps:strut4:jump=6e-5,time=70")), only=["missed_steps", "warm_up", "creep"])
+    assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
+
+
+def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
+    rec = recorded(tmp_path, design, outlaws.SlippingClutch("strut 5", 1.2e-4))
+    found = result.diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
+    assert not found.effects and found.unknown[0].place == "strut 5"
+
+
+def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_path, design):
+    rec = recorded(tmp_path, design, parse("base_expansion:rig:coefficient=1e-4"), logged=False, route="sobol:50,ladder:2,sobol:60")
+    found = result.diagnose(rec, only=["warm_up", "base_expansion"])
+    named = {(f.score.family.kind.name, *(r.score.family.kind.name for r in f.rivals)) for f in found.selection.findings}
+    assert found.effects and all("base_expansion" in names for names in named)
