@@ -175,7 +175,8 @@ def calibration_page(path, recording, calibration, samples, found):
              f"{held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad: what is left is {held.after.position[0] / held.floor[0]:.2f} "
              "times that.</p>",
              table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows),
-             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _before_after(correction, samples),
+             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
+             before_after(*errors_of(correction, samples), samples.frame),
              "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
@@ -188,12 +189,13 @@ def _figures(f):
     return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
 
 
-def _before_after(correction, samples):
-    before, after = errors_of(correction, samples)
+def before_after(before, after, frames):
+    """Figure of errors (n, 6) m and rad before and after correction, frame by frame; rotations that were not measured are nan and left out."""
     figure = Figure(figsize=(11, 3), layout="constrained")
-    for axes, part, label, in zip(figure.subplots(1, 2), (slice(0, 3), slice(3, 6)), ("position, mm", "rotation, mrad")):
+    seen = [(part, label) for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad")) if np.isfinite(after[:, part]).all()]
+    for axes, (part, label) in zip(np.ravel(figure.subplots(1, len(seen))), seen):
         for errors, name in ((before, "owner's model"), (after, "corrected")):
-            axes.semilogy(samples.frame, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=4, label=name)
+            axes.semilogy(frames, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=4, label=name)
         axes.set(xlabel="frame", ylabel=label)
         axes.legend(fontsize=8)
     return figure

@@ -1,6 +1,7 @@
 """Sealed trials: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
 
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -65,13 +66,10 @@ def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
     numbers = [n % len(catalogue) for n in numbers]
     if len(numbers) == 2 and numbers[0] == numbers[1]:
         numbers[1] = (numbers[1] + 1) % len(catalogue)
-    for attempt in range(TRIES):
-        try:
+    for _ in range(TRIES - 1):
+        with suppress(RigError):
             return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
-        except RigError:
-            if attempt == TRIES - 1:
-                raise
-    return None
+    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
 
 
 def _drawn(kind, hidden, rng, frames, blindfold):

@@ -108,8 +108,7 @@ class SlippingClutch(Effect):
     places: ClassVar = ("strut",)
 
     def deviation(self, motion):
-        way = np.abs(np.diff(motion.path.lengths, axis=0, prepend=motion.path.lengths[:1])).cumsum(axis=0)
-        return -self.struts() * self.share * way[motion.path.at]
+        return -self.struts() * self.share * motion.path.way
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +122,8 @@ class Drag(Effect):
     places: ClassVar = ("rig",)
 
     def deviation(self, motion):
-        path = motion.path
-        speed = np.diff(path.lengths, axis=0, prepend=path.lengths[:1]) / np.maximum(np.diff(path.t, prepend=path.t[0] - 1), 1e-6)[:, None]
-        return -self.factor * (speed * np.abs(speed))[path.at]
+        speed = motion.path.speed
+        return -self.factor * speed * np.abs(speed)
 
 
 @dataclass(frozen=True, slots=True)

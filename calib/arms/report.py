@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from calib.arms import model
 from calib.certificate import errors_of
-from calib.report import coverage, flat, page, table
+from calib.report import before_after, coverage, flat, page, table
 
 
 def calibration_page(path, recording, calibration, samples, done):
@@ -21,7 +21,8 @@ def calibration_page(path, recording, calibration, samples, done):
              f"interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}). The measured poses themselves are uncertain by {floor}. "
              "Rows drawn at random flatter: their neighbours in time were fitted.</p>",
              table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
-             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>", _errors(calibration, samples),
+             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
+             before_after(*errors_of(calibration.correction, samples), samples.frame),
              "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
              _profiles(calibration, samples), "<h2>Where the target went</h2>", coverage(np.concatenate(
                  [samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)),
@@ -32,18 +33,6 @@ def calibration_page(path, recording, calibration, samples, done):
 
 def _figures(f):
     return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
-
-
-def _errors(calibration, samples):
-    before, after = errors_of(calibration.correction, samples)
-    figure = Figure(figsize=(11, 3), layout="constrained")
-    seen = [(part, label) for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad")) if np.isfinite(after[:, part]).all()]
-    for axes, (part, label) in zip(np.ravel(figure.subplots(1, len(seen))), seen):
-        for errors, name in ((before, "owner's model"), (after, "corrected")):
-            axes.semilogy(samples.frame, np.linalg.norm(errors[:, part], axis=1) * 1e3, ".", ms=3, label=name)
-        axes.set(xlabel="frame", ylabel=label)
-        axes.legend(fontsize=8)
-    return figure
 
 
 def _profiles(calibration, samples):

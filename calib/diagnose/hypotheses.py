@@ -67,7 +67,7 @@ class Skipped:
     reason: str
 
 
-def families(knowledge, only=None, without=(), rng=None):
+def families(knowledge, only=None, without=()):
     """([Family], [Skipped]) for a Knowledge. only, without : names of effects, or "effect place"; all by default."""
     out, skipped = [], []
     for kind in ALL:

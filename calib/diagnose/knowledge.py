@@ -40,7 +40,7 @@ class Knowledge:
 
     design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
-    own : (F, 6, 6) covariance of poses that an outside instrument measured, or None; common : (F, 6, k) their shared errors
+    own : (F, 6, 6) covariance of poses that an outside instrument measured, or None
     commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
     finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves

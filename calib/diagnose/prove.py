@@ -9,7 +9,6 @@ from calib.diagnose.planes import Column
 from calib.samples import blocks
 
 FOLDS, SHORTER = 5, 4
-SUDDEN = ("missed_steps", "camera_bump", "camera_drift", "warm_up")  # happen once, some of them soon over
 RIDGE = 1e-9  # keeps directions that a training set cannot see where they stood
 
 
@@ -61,7 +60,7 @@ def _folds(frames, effects):
     """(F,) which frames are held out together: a stretch of time; where an effect happens at one time, several shorter ones, so that what comes
     before it and after it is never held out whole."""
     count = min(FOLDS, frames // 4)
-    return blocks(frames, min(SHORTER * FOLDS, frames // 4)) % count if any(e.name in SUDDEN for e in effects) else blocks(frames, count)
+    return blocks(frames, min(SHORTER * FOLDS, frames // 4)) % count if any(e.sudden for e in effects) else blocks(frames, count)
 
 
 def _left(planes, image, struts, fold):

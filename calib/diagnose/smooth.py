@@ -30,13 +30,13 @@ def strut_weights(k):
         bases.append((f"strut {j + 1}'s position", _alike(_powers(lengths[:, j], 4), ones)))
     scaled = np.stack([_unit(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([direction, direction * scaled], axis=2)))
-    way = np.abs(np.diff(motion.path.lengths, axis=0, prepend=motion.path.lengths[:1])).cumsum(axis=0)[motion.path.at]
+    way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
         bases.append(("way travelled", np.stack([_powers(column, 2) for column in way.T], axis=1)))
     speed = _speed(k)
+    speeds = np.stack([speed, speed * np.abs(speed) / max(np.abs(speed).max(), 1e-300)], axis=2)
     if speed.any():
-        speed /= np.abs(speed).max()
-        bases.append(("speed", np.stack([speed, speed * np.abs(speed)], axis=2)))
+        bases.append(("speed", speeds))
     out = []
     for depends, functions in bases:  # (F, axes, q), each strut's own
         strutwise = []
@@ -46,7 +46,7 @@ def strut_weights(k):
             strutwise.append((f"strut {i + 1}", weights))
         out.append((depends, strutwise))
     if speed.any():
-        out.append(("speed", [("rig", bases[-1][1])]))
+        out.append(("speed", [("rig", speeds)]))
     return out
 
 

@@ -99,9 +99,9 @@ def _covariate(effect, k, motion):
     if name in ("missed_steps", "warm_up"):
         return k.t / 60, "time, min"
     if name in ("servo_lag", "time_offset"):
-        return _speed(path) * 1e3, "speed of the strut, mm/s"
+        return path.speed * 1e3, "speed of the strut, mm/s"
     if name == "clock_drift":
-        return _speed(path) * motion.t[:, None], "speed times time, m"
+        return path.speed * motion.t[:, None], "speed times time, m"
     if name == "thermal_expansion":
         warm = np.stack([motion.channel(f"strut{i + 1}_temperature_C") for i in range(k.axes)], axis=1)
         return warm, "temperature of the strut, C"
@@ -113,12 +113,6 @@ def _covariate(effect, k, motion):
     if name in ("compliance", "joint_clearance"):
         return axial_forces(motion), "axial force, N (positive: the strut pushes)"
     return effect.deviation(motion) * 1e6, "what the model says, µm"
-
-
-def _speed(path):
-    """(n, axes) m/s at the exposures."""
-    step = np.diff(path.lengths, axis=0, prepend=path.lengths[:1])
-    return (step / np.maximum(np.diff(path.t, prepend=path.t[0] - 1), 1e-9)[:, None])[path.at]
 
 
 def _since_reversal(path):

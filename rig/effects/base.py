@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import RigError
 
+SOON = 1e-6  # s; knots that lie closer together are one
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 
 
@@ -49,6 +50,17 @@ class Path:
         t = np.union1d(self.t, times)
         lengths = np.stack([np.interp(t, self.t, column) for column in self.lengths.T], axis=1)
         return Path(t, lengths, np.searchsorted(t, self.t[self.at]))
+
+    @property
+    def speed(self):
+        """(n, axes) m/s at which the struts come to the exposures."""
+        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
+        return (step / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None])[self.at]
+
+    @property
+    def way(self):
+        """(n, axes) m that the struts have travelled by the exposures, whichever way."""
+        return np.abs(np.diff(self.lengths, axis=0, prepend=self.lengths[:1])).cumsum(axis=0)[self.at]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +109,7 @@ class Effect:
     parameters: tuple[Parameter, ...] = ()
     experiment = ""
     on_pose = False  # whether its deviation depends on the pose
+    sudden = False  # whether it happens at one time, and may be over soon
 
     def times(self, t):
         """(n,) s on the commands' clock at which exposures logged at t (n,) really happened."""

@@ -19,6 +19,7 @@ class CameraBump(Effect):
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
     parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6), Parameter("time", "s", (-1e9, 1e9), (0, 1e5), role="moment"))
+    sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera before and after"
 
     def mount(self, camera, t, channel):

@@ -20,6 +20,7 @@ class CameraDrift(Effect):
     places: ClassVar = ("camera",)
     parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
                             Parameter("time_constant", "s", (1, 1e5), (60, 7200), role="log"))
+    sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera for as long"
 
     def mount(self, camera, t, channel):

@@ -18,6 +18,7 @@ class MissedSteps(Effect):
     places: ClassVar = ("strut",)
     parameters: ClassVar = (Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True),
                             Parameter("time", "s", (-1e9, 1e9), (0, 1e5), role="moment"))
+    sudden: ClassVar = True
     experiment: ClassVar = "return to one pose again and again, and home the strut: homing takes a lost step away"
 
     def deviation(self, motion):

@@ -20,6 +20,7 @@ class WarmUp(Effect):
     places: ClassVar = ("strut", "rig")
     parameters: ClassVar = (Parameter("amplitude", "m", (-2e-3, 2e-3), (5e-6, 1.2e-4)),
                             Parameter("time_constant", "s", (60, 1e5), (600, 7200), role="log"))
+    sudden: ClassVar = True
     experiment: ClassVar = "the same poses from a cold start to hours later, with fixed cubes in view: a camera's drift moves those too"
 
     def deviation(self, motion):

@@ -103,12 +103,8 @@ def _nearest(o, u, p, v):
     return o + u * (np.cross(p - o, v) @ n / square) if square > EXACT**2 else o
 
 
-def hand_points(T_base_platform, six):
-    """(..., 3, 3) m, A, B, C of the hand at poses (...), in the global frame."""
-    return _hand(T_base_platform.as_matrix(), six)
-
-
 def _hand(matrix, six):
+    """(..., 3, 3) m, A, B, C of the hand at poses (..., 4, 4), in the global frame."""
     start = mechanism.frames(np.zeros(6), six.arm)[-1]
     F = six.frame.as_matrix()
     R = F[:3, :3].T @ matrix[..., :3, :3] @ start[:3, :3].T @ F[:3, :3]  # the hand's turn since zero

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -15,11 +14,10 @@ from rig.design import Sensor
 from rig.effects.parse import parse
 from synthetic import scene, simulation, world
 from synthetic.sensor import expose
+from tests.cli import RIG
 from tests.conftest import ROOT
 from tests.rig.test_effects import SOME
 from tests.synthetic.test_render import LENSES, drawn_errors, wall
-
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
 
 def rows():

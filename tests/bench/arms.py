@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from importlib.resources import files
@@ -18,18 +17,16 @@ from calib.arms.observations import of_poses
 from rig import design_file
 from rig.mechanisms import arm as mechanism
 from rig.mechanisms import dynamics, wrist
-from rig.pose import log
 from rig.posture import measure, search, wrench
 from rig.posture.measure import Wish
 from tests.calib import arm_worlds as worlds
-from tests.calib.test_arms import same_gauge
+from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.rig import pinocchio_arm
 from tests.rig.arms import SEVEN, UR10, configurations, random_arm
 from tests.rig.test_wrist import ARMS, check, near_singular
 
 PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
 
 def rows():
@@ -75,10 +72,7 @@ def _identification():
             true = worlds.secret(nominal, rng)
             seen = of_poses(worlds.tracked(true, nominal, 80, rng))
             found = identify(seen, place.placed(seen, nominal, True, True))
-            truth = same_gauge(true, nominal, free)
-            ends = [log(getattr(found.arm, end).inv() * getattr(truth, end)) for end in ("base", "tool")]
-            error = np.concatenate([ends[0], (truth.rows - found.arm.rows).ravel(), ends[1]])
-            z.append(error[free] / np.sqrt(np.diag(found.covariance))[free])
+            z.append(worlds.scores(found, true, nominal, free))
             steps.append(found.iterations)
         z = np.array(z)
         yield f"{name}: {free.sum()} parameters, axes within 1e-4 rad of parallel, 40 arms", f"{min(steps)} to {max(steps)} steps", "converges"

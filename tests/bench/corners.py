@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -16,6 +15,7 @@ from rig import design_file, layout, recording
 from rig.design import Marker, Sensor, Target
 from rig.pose import difference, pose
 from tests.bench import bound
+from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.scenes import nees, scene
 from vision.collect import read_image
@@ -23,7 +23,6 @@ from vision.detect import detect
 from vision.measure import measure
 from vision.targets import marker_map
 
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 INSIDE = {2: 5.991, 6: 12.592}  # chi-square that 95 % stay below
 RECORDINGS, FRAMES = 32, 24
 REPEATS = 12

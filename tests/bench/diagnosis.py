@@ -2,17 +2,16 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 from synthetic.score import case
+from tests.cli import RIG
 from tests.conftest import SHARED
 
 KNOWN = ("open-quiet", "first-light", "open-backlash", "open-camera-drift", "open-compliance", "open-lens", "open-two")
 REAL = ("tumbling-block", "arm-1")
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 UNIT = {"m": (1e6, "um"), "px": (1, "px")}
 
 

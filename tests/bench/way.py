@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -18,9 +17,8 @@ from calib.pipeline import sample_recording
 from rig import recording
 from rig.mechanisms import hexapod
 from rig.pose import difference
+from tests.cli import RIG
 from tests.conftest import SHARED
-
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
 
 def rows():

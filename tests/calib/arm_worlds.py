@@ -7,7 +7,7 @@ import numpy as np
 from calib.arms import model, observations
 from calib.samples import Samples
 from rig.design import Instrument
-from rig.pose import exp, pose, vector
+from rig.pose import exp, log, pose, vector
 from rig.recording import POSE_COLUMNS
 from rig.writing import write_table
 from tests.rig.arms import configurations
@@ -66,3 +66,26 @@ def write(folder, nominal, samples, base="free", tool="free", positions_alone=Fa
                 [",".join([f"{t + wait}", *(f"{angle:.12f}" for angle in q)]) for t, q in zip(samples.t, samples.commanded) for wait in (4.0, 6.0)])
     rows = vector(samples.T_base_platform)[:, : len(names)]
     write_table(folder / "poses.csv", ("frame", *names), [",".join([str(i), *(f"{x:.12f}" for x in row)]) for i, row in zip(samples.frame, rows)])
+
+
+def same_gauge(true, nominal, free):
+    """The true arm's parameters less the nominal's, in the fit's own gauge: the fit of noiseless observations."""
+    q = configurations(nominal, 200, np.random.default_rng(99), 0.6)
+    T = model.predicted(q, true)
+    arm = replace(nominal, base=BASE, tool=TOOL)
+    for _ in range(30):
+        J = model.parameter_jacobian(q, arm)[..., free].reshape(-1, free.sum())
+        step = np.zeros(len(free))
+        step[free] = np.linalg.lstsq(J, model.residuals(q, T, arm).ravel())[0]
+        arm = model.moved(arm, step)
+        if np.abs(step).max() < 1e-13:
+            return arm
+    raise AssertionError("no arm of this gauge is the true one")
+
+
+def scores(found, true, nominal, free):
+    """(free parameters,) errors of an Identified arm, in the standard deviations that it states."""
+    truth = same_gauge(true, nominal, free)
+    ends = [log(getattr(found.arm, end).inv() * getattr(truth, end)) for end in ("base", "tool")]
+    error = np.concatenate([ends[0], (truth.rows - found.arm.rows).ravel(), ends[1]])
+    return error[free] / np.sqrt(np.diag(found.covariance))[free]

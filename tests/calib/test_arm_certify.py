@@ -1,8 +1,6 @@
 """An arm's calibration as a whole: profiles, held-out figures, what to command, the file, and the command line on real data."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +14,9 @@ from rig import cli
 from rig.errors import Unreachable
 from rig.pose import difference, exp, vector
 from tests.calib import arm_worlds as worlds
+from tests.cli import run
 from tests.conftest import make_recording
 from tests.rig.arms import SEVEN, UR10, configurations
-
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
 
 def geared(q):
@@ -167,11 +164,6 @@ def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys
 
 @pytest.mark.slow
 def test_real_arm_through_the_command_line(shared, tmp_path):
-    def run(*arguments, ok=True):
-        done = subprocess.run([*RIG, *map(str, arguments)], capture_output=True, text=True, timeout=300)
-        assert "Traceback" not in done.stderr and (done.returncode == 0) == ok, done.stdout + done.stderr
-        return done
-
     arm = shared / "recordings/arm-1"
     said = run("calibrate", arm, "--out", tmp_path / "c.json").stdout
     assert "30 of 30 parameters fitted" in said and "random" in said

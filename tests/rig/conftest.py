@@ -1,0 +1,20 @@
+"""Fixtures of the effects' tests."""
+
+import numpy as np
+import pytest
+
+from rig.recording import Commands, Sensors
+
+
+@pytest.fixture(scope="module")
+def setting(design):
+    """A design with a load, a short path with dwells, reversals and moves, and sensors."""
+    strokes = design.mechanism.strut_range
+    middle, half = strokes.mean(axis=1), np.ptp(strokes, axis=1) / 2
+    rng = np.random.default_rng(0)
+    t = np.cumsum(np.r_[0.0, rng.uniform(0.5, 4, 60)])
+    values = middle + 0.7 * half * rng.uniform(-1, 1, (61, 6))
+    values[10:15] = values[10]
+    sensors = Sensors(np.array([0.0, 1e4]), {"ambient_temperature_C": np.array([21.0, 25.0]), "payload_mass_kg": np.array([0.0, 0.0]),
+                                             **{f"strut{i}_temperature_C": np.array([20.0, 20.0 + 4 * i]) for i in range(1, 7)}})
+    return design, Commands(t, values), np.sort(rng.uniform(1, t[-1], 40)), sensors
