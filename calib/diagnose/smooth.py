@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import null_space
 
 from calib.diagnose.planes import Column, linearise
 from calib.diagnose.search import mount_pixels
@@ -91,6 +92,14 @@ def marker_pixels(k, ids):
     return out
 
 
+def _distortions():
+    """(8, 5) of what `marker_pixels` moves a marker's corners by: what no shift nor turn of the marker in its plane does, which is no printing."""
+    corners = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+    edges = np.stack([np.roll(corners, s, axis=0) - corners for s in (-1, 1)], axis=1)
+    rigid = np.stack([np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 1.0], (4, 1)), corners[:, ::-1] * [-1, 1]], axis=-1)
+    return null_space(np.einsum("csd,cdr->csr", edges, rigid).reshape(8, 3).T)
+
+
 def _depths(quads):
     """(s, 4) depths of the corners of squares seen as quads (s, 4, 2), the first one's 1. Source: Heckbert, Fundamentals of texture mapping and
     image warping, 1989, 2.2.3"""
@@ -116,7 +125,8 @@ def cover(planes, left):
         elif u.place.startswith("camera") and u.depends_on == ("image position",):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
     if any(u.place.startswith("marker") for u in left):
-        pixels.append(marker_pixels(k, np.unique(k.seen.markers.id[k.seen.sightings.marker])))
+        ids = np.unique(k.seen.markers.id[k.seen.sightings.marker])
+        pixels.append(marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
 
 
