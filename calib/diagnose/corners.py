@@ -22,35 +22,38 @@ def corner_rows(k):
     weights = _weights(o, k)
     whitener = np.linalg.inv(np.linalg.cholesky(weights))
     rho = np.einsum("nij,nj->ni", whitener, o.uv - k.pixels())
+    order = np.lexsort((o.camera, o.frame))
+    edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
+    at = np.argsort(order)  # where each corner stands, frame by frame
     J_local, shared, names, priors, camera_columns = np.zeros((n, 2, L)), [], [], [], {}
     for i, rows, J_platform, J_camera, J_lens in derivatives(o, k.state):
         camera = k.stated.cameras[i]
-        J_local[rows, :, :6] = whitener[rows] @ J_platform
+        J_local[at[rows], :, :6] = whitener[rows] @ J_platform
         blocks = [(J_lens, lens.terms(camera.distortion), (1 / lens_prior(camera)).tolist())]
         if i in k.moving:
-            at = 6 + 6 * sorted(k.moving).index(i)
-            J_local[rows, :, at : at + 6] = whitener[rows] @ J_camera
+            own = 6 + 6 * sorted(k.moving).index(i)
+            J_local[at[rows], :, own : own + 6] = whitener[rows] @ J_camera
         else:
             blocks.insert(0, (J_camera, ("x", "y", "z", "rx", "ry", "rz"), [0.0] * 6))
         for block, labels, prior in blocks:
-            whole = np.zeros((n, 2, block.shape[2]))
-            whole[rows] = whitener[rows] @ block
             camera_columns.setdefault(i, []).extend(range(len(names), len(names) + len(labels)))
-            shared.append(whole)
+            shared.append((at[rows], whitener[rows] @ block))
             names += [(camera.name, label) for label in labels]
             priors += prior
     quads = k.pixels(rows=slice(None))
     for i in sorted(camera_columns):  # a bias of edges that small is the corner finder's own
-        name, at = k.stated.cameras[i].name, seen.sightings.camera == i
+        camera, seen_by = k.stated.cameras[i], seen.sightings.camera == i
         moved = np.zeros_like(quads)
-        moved[at] = EdgeBias(f"camera {name}", 1.0).print_(k.stated.cameras[i], quads[at]) - quads[at]
-        shared.append(whitener @ moved[seen.row, o.corner][..., None])
-        names.append((name, EDGES))
+        moved[seen_by] = EdgeBias(f"camera {camera.name}", 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
+        rows = np.flatnonzero(o.camera == i)
+        shared.append((at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None]))
+        names.append((camera.name, EDGES))
         priors.append(1 / FINDER)
-    order = np.lexsort((o.camera, o.frame))
-    edges = np.searchsorted(o.frame[order], np.arange(len(k.t) + 1))
-    rho, J_local = rho[order].reshape(-1), J_local[order].reshape(2 * n, L)
-    V = np.concatenate(shared, axis=2)[order].reshape(2 * n, -1)
+    V, start = np.zeros((n, 2, len(names))), 0
+    for rows, block in shared:
+        V[rows, :, start : start + block.shape[2]] = block
+        start += block.shape[2]
+    rho, J_local, V = rho[order].reshape(-1), J_local.reshape(2 * n, L), V.reshape(2 * n, -1)
     local, to_local = np.zeros((2 * n, L)), np.zeros((len(k.t), L, L))
     scale = np.sqrt((J_local**2).sum(axis=0) / len(k.t)) + 1e-300
     for f, (a, b) in enumerate(zip(edges[:-1], edges[1:])):

@@ -139,12 +139,12 @@ def linearise(knowledge):
         rho, local, to_local, V = np.zeros(0), np.zeros((0, 6)), np.tile(np.eye(6), (len(k.t), 1, 1)), np.zeros((0, 0))
     sigma, excess = 1.0, 0.0
     if len(rho):
-        inner, image = _split(np.column_stack([rho, V]), local, edges)
-        sigma = _noise(image, priors, own, 6 * len(k.t))
-        V /= sigma
+        inner, image = _split(V, local, edges)
+        sigma = _noise(_split(rho[:, None].copy(), local, edges)[1][:, 0], image, priors, own, 6 * len(k.t))
         far = np.abs(rho / sigma)
         excess = float((2 * CLIP * np.maximum(far - CLIP, 0)).sum())
-        inner, image = _split(np.column_stack([np.clip(rho / sigma, -CLIP, CLIP), V]), local, edges)
+        parts = zip(_split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges), (inner, image))
+        inner, image = (np.concatenate([residual, columns / sigma], axis=-1) for residual, columns in parts)
         to_local = to_local * sigma
     else:
         inner, image = np.zeros((len(k.t), 6, 1)), np.zeros((0, 1))
@@ -180,9 +180,9 @@ def _split(rows, local, edges):
     return inner, rows
 
 
-def _noise(image, priors, own, lost):
+def _noise(left, V, priors, own, lost):
     """What standard deviations must be multiplied by, from the middle of the image plane's residuals where covariances are corners' own."""
-    left, V = np.clip(image[:, 0], -50, 50), image[:, 1:]
+    left = np.clip(left, -50, 50)
     half = _orthonormal(V.T @ V + np.diag(np.square(priors)))
     left = left - V @ (half @ (half.T @ (V.T @ left)))
     return float(np.sqrt(np.median(left[own if own.any() else slice(None)] ** 2) / MEDIAN / (1 - (lost + half.shape[1]) / len(left))))
