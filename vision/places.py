@@ -52,7 +52,7 @@ def places(measurement, t):
                      cameras=tuple(replace(s, pose=c.pose) for s, c in zip(a.stated.cameras, a.state.cameras)))
     before = adjust(kept, stated, rest, stated=a.stated)
     weighted = before.cost / before.dof, a.cost / a.dof
-    return Places(_moves(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
+    return Places(moves(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
                   weighted, _odd(m, t[solved]))
 
 
@@ -65,7 +65,8 @@ def listed(measurement):
     return {name: tuple(rows) for name, rows in out.items()}
 
 
-def _moves(a):
+def moves(a):
+    """(Move, ...) of the markers that an Adjustment left free."""
     u, out = a.unknowns, []
     moved = log(a.stated.markers.T_body_marker.inv() * a.state.markers.T_body_marker)
     ids = a.state.markers.id

@@ -124,10 +124,11 @@ class Knowledge:
         return replace(self, effects=tuple(effects))
 
 
-def of_recording(recording, progress=None, calibration=None):
+def of_recording(recording, progress=None, calibration=None, places="auto"):
     """(Knowledge, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
 
     calibration : store.Calibration of another recording of the same hexapod, whose joints are then known beforehand, or None
+    places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
     Raises NotEnoughData where nothing was measured, and what measuring raises
     """
     design = recording.design
@@ -140,7 +141,7 @@ def of_recording(recording, progress=None, calibration=None):
             raise RigError(f"{recording.folder}: a calibration can be taken as known of a hexapod alone")
         known = calibration.correction.fitted, np.linalg.cholesky(np.linalg.inv(calibration.covariance)).T
     if design.mechanism.kind == "free" or recording.commands is None:
-        measured, collected = measure_recording(recording, progress=progress)
+        measured, collected = measure_recording(recording, progress=progress, places=places if design.mechanism.kind == "free" else "stated")
         source = "images" if collected is not None else "corners.csv"
     else:
         sampled = sample_recording(recording, progress=progress)
@@ -164,7 +165,7 @@ def _seen(measured, knowledge):
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    return seen_of(kept, marker_map(knowledge.stated))
+    return seen_of(kept, measured.adjustment.state.markers if measured.places_free else marker_map(knowledge.stated))
 
 
 def within_reach(knowledge):

@@ -26,7 +26,7 @@ def diagnosis_page(path, recording, diagnosis):
     if tree["findings"]:
         parts += ["<h2>Where</h2>", schematic(k, [f["place"] for f in tree["findings"]])]
     for number, finding in enumerate(named):
-        parts += [f"<h2>{number + 1}. {_words(finding)}</h2>", *_finding(finding, diagnosis, number - len(diagnosis.swapped))]
+        parts += [f"<h2>{number + 1}. {_words(finding)}</h2>", *_finding(finding, diagnosis, number - len(diagnosis.swapped) - len(diagnosis.moved))]
     parts += ["<h2>What remains</h2>", *_remaining(diagnosis, tree)]
     parts += ["<h2>What was asked</h2>", _asked(diagnosis, tree), "<h2>The measurement</h2>", _measurement(recording, diagnosis, tree)]
     page(path, f"Diagnosis of {tree['recording']}", parts)
@@ -82,7 +82,7 @@ def _held_out(fit, named):
 
 
 def _finding(finding, diagnosis, number):
-    """Parts of one finding; number : of the selection's, negative for exchanged faces."""
+    """Parts of one finding; number : of the selection's, negative for what was found before all else: faces exchanged or moved."""
     evidence, parts = finding["evidence"], []
     if number >= 0:
         admitted = diagnosis.selection.findings[number].number

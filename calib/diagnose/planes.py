@@ -140,7 +140,7 @@ def linearise(knowledge):
     sigma, excess = 1.0, 0.0
     if len(rho):
         inner, image = _split(V, local, edges)
-        sigma = _noise(_split(rho[:, None].copy(), local, edges)[1][:, 0], image, priors, own, 6 * len(k.t))
+        sigma = _noise(_split(rho[:, None].copy(), local, edges)[1][:, 0], image, priors, own, local.shape[1] * len(k.t))
         far = np.abs(rho / sigma)
         excess = float((2 * CLIP * np.maximum(far - CLIP, 0)).sum())
         parts = zip(_split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges), (inner, image))

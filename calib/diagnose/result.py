@@ -14,9 +14,11 @@ from calib.diagnose.select import Selection, select, supported
 from calib.diagnose.unknown import unknowns
 from calib.diagnose.unlogged import unlogged
 from rig.effects import BY_NAME
+from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.parse import to_dict as effect_dict
 from rig.pose import vector
 from rig.writing import write_text
+from vision.places import moves
 
 SCHEMA = "diagnosis/1"
 
@@ -24,12 +26,14 @@ SCHEMA = "diagnosis/1"
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
+    moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
     selection : Selection; proofs : [Proof], one for each finding;
     fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}"""
 
     recording: str
     source: str
     swapped: list
+    moved: list
     selection: Selection
     proofs: list[Proof]
     fit: Proof
@@ -51,7 +55,9 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     calibration : store.Calibration of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since. Raises NotEnoughData where too little was measured, and what measuring raises
     """
-    knowledge, source, _ = known.of_recording(recording, progress, calibration)
+    faces = FaceMisplacement.name not in without and (not only or FaceMisplacement.name in only)
+    knowledge, source, measured = known.of_recording(recording, progress, calibration, "auto" if faces else "stated")
+    moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
     swapped = swaps(knowledge) if "marker_swap" not in without and (not only or "marker_swap" in only) else []
     knowledge = within_reach(exchanged(knowledge, swapped))
     asked, skipped = families(knowledge, only, without)
@@ -66,7 +72,7 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:
         plane = selection.findings[0].score.family.plane
-    return Diagnosis(recording.folder.resolve().name, source, swapped, selection, proofs, overall(selection.settled, plane), left, skipped,
+    return Diagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, overall(selection.settled, plane), left, skipped,
                      _noise(selection.settled.planes))
 
 
@@ -98,6 +104,8 @@ def to_dict(diagnosis):
     findings = [{**effect_dict(effect), "evidence": {}, "cannot_be_told_from": []} for effect in diagnosis.swapped]
     for finding in findings:
         finding["parameters"] = {name: {"value": value, "unit": ""} for name, value in finding["parameters"].items()}
+    findings += [{"effect": FaceMisplacement.name, "place": m.name, "parameters": _moved(m), "evidence": {}, "cannot_be_told_from": []}
+                 for m in diagnosis.moved]
     findings += [_finding(diagnosis, f, proof) for f, proof in zip(diagnosis.selection.findings, diagnosis.proofs)]
     findings += [{"effect": "unknown", "place": u.place,
                   "parameters": {"magnitude": {"value": u.magnitude, "unit": u.unit}, "depends_on": {"value": list(u.depends_on), "unit": ""}},
@@ -109,6 +117,13 @@ def to_dict(diagnosis):
                                                        "depends_on": list(worst.depends_on)},
             "fit": {"heldout_before": fit.before, "heldout_after": fit.after, "noise_floor": fit.floor, "unit": fit.unit},
             "not_asked": [{"effect": s.effect, "reason": s.reason} for s in diagnosis.skipped]}
+
+
+def _moved(move):
+    """{parameter: value and interval} of a Move."""
+    ends = np.stack([move.by, move.by - move.ci95, move.by + move.ci95])
+    return {p.name: {"value": part[0].tolist(), "unit": p.unit, "ci95": part[1:].tolist()}
+            for p, part in zip(FaceMisplacement.parameters, (ends[:, :3], ends[:, 3:]))}
 
 
 def _places(unknown):

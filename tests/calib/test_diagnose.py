@@ -8,7 +8,7 @@ import pytest
 
 from calib import store
 from calib.certificate import certify
-from calib.diagnose import gross, result, scan, settle, unknown
+from calib.diagnose import gross, page, result, scan, settle, unknown
 from calib.diagnose.hypotheses import Signatures, families
 from calib.diagnose.knowledge import of_recording
 from calib.diagnose.planes import linearise
@@ -18,6 +18,7 @@ from rig.effects.parse import parse
 from rig.layout import layout
 from synthetic import outlaws, simulation, world
 from tests.numeric import jacobian
+from tests.vision import tumbling
 from vision.targets import marker_map
 
 PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
@@ -155,3 +156,20 @@ def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     simulation.write(simulation.simulate(secret, plan.build(design, "sobol:60", 3), rng), tmp_path, layout(0.3), rng, 0.04)
     found = result.diagnose(recording.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
     assert not found.effects and found.unknown[0].place == "marker 7"
+
+
+def test_a_body_moved_by_hand_says_which_faces_sit_elsewhere(tmp_path):
+    observations, stated, true, t = tumbling.scene(1)
+    o, names = observations, [camera.name for camera in stated.cameras]
+    ids = marker_map(stated).id
+    corners = recording.Corners(o.frames[o.frame], [names[i] for i in o.camera], [int(ids[m]) for m in o.marker], o.corner, o.uv, None)
+    exposures = recording.Exposures(np.arange(len(t)), t, names * len(t), [""] * len(t))
+    rec = recording.Recording(tmp_path, stated, None, exposures, None, corners, None)
+    found = result.diagnose(rec)
+    tree = json.loads(json.dumps(result.to_dict(found)))
+    moved = [f for f in tree["findings"] if f["effect"] == "face_misplacement"]
+    assert len(moved) >= len(np.unique(o.marker)) - 1 and len(tree["findings"]) == len(moved) and tree["unexplained"] is None
+    assert all(low < value < high for f in moved for p in f["parameters"].values() for value, low, high in zip(p["value"], *p["ci95"]))
+    assert tree["fit"]["heldout_after"] < 1.1 * tree["fit"]["noise_floor"]
+    page.diagnosis_page(tmp_path / "page.html", rec, found)
+    assert (tmp_path / "page.html").read_text().count("face misplacement at marker") >= len(moved)
