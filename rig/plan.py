@@ -22,9 +22,10 @@ SPEED = 0.5  # of the actuator's top speed
 UNSTATED_SPEED = 0.02  # m/s where the design states none
 STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
+TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
 FILL = 0.8  # of the strokes that plans use
 BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
-STANDARD = "moving:30,sobol:120,ladder,moving:30,payload:20,sobol:100,moving:30"
+STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,8 +142,8 @@ def build(design, text, seed=0, one_sided=False):
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts.
 
-    Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, warmup:N, repeat:N and
-    commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
+    Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, zigzag:N, warmup:N, repeat:N
+    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
     """
     mechanism = design.mechanism
     if mechanism.kind not in ("hexapod", "planar2"):
@@ -215,6 +216,20 @@ def _moving(writer, design, count, rng):
     writer.exposures += [start + 1.0 + k * EXPOSE_EVERY for k in range(count or 60)]
 
 
+def _zigzag(writer, design, count, rng):
+    """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
+    strokes = design.mechanism.strut_range
+    leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
+    writer.go(strokes.mean(axis=1) - leg / 2)
+    writer.dwell(1.0)
+    for k in range(count or 60):
+        writer.t.append(writer.t[-1] + EXPOSE_EVERY)
+        writer.values.append(writer.values[-1] + (leg if k % 2 == 0 else -leg))
+        writer.exposures.append(writer.t[-1] + TURNED[k // 2 % len(TURNED)])
+    writer.t.append(writer.t[-1] + EXPOSE_EVERY)
+    writer.values.append(writer.values[-1] + (leg if (count or 60) % 2 == 0 else -leg))
+
+
 def _warmup(writer, design, count, rng):
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = low_discrepancy(design.mechanism.strut_range, 11, seed=int(rng.integers(1 << 30)))
@@ -247,7 +262,7 @@ PARTS = {
     "grid": _visit(lambda design, count, rng: grid(design.mechanism.strut_range, count or 2)),
     "simplices": _visit(lambda design, count, rng: simplices(design.mechanism.strut_range, count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
-    "ladder": _ladder, "payload": _payload, "moving": _moving, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
+    "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
 }
 
 

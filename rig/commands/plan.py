@@ -6,7 +6,7 @@ from rig.commands.output import SEED, Progress, fresh_file
 from rig.errors import RigError
 
 SHOWN = 8  # combinations that are listed
-MOVES = ("sobol:40", "ladder:12", "moving:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
+MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
 
 
 def arguments(parser):

@@ -21,7 +21,8 @@ class ServoLag(Effect):
     stage: ClassVar = "command"
     places: ClassVar = ("strut", "rig")
     parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2), role="size"),)
-    experiment: ClassVar = "expose while moving at several speeds, cameras timed by an external clock: all struts alike is also a time offset"
+    experiment: ClassVar = ("expose soon after reversals at full speed (plan zigzag), or time the cameras by an external clock: "
+                            "all struts alike is also a time offset")
 
     def follow(self, path):
         if self.time_constant <= 0:

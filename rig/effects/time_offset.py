@@ -20,7 +20,8 @@ class TimeOffset(Effect):
     places: ClassVar = ("clock",)
     parameters: ClassVar = (Parameter("offset", "s", (-5, 5), (1e-3, 6e-2), signed=True),
                             Parameter("since", "s", (-1e9, 1e9), (0, 1e5), role="moment"))
-    experiment: ClassVar = "expose while moving, at several speeds; an external clock tells it from a lag of all drives"
+    experiment: ClassVar = ("expose while moving, at several speeds; reversals at full speed (plan zigzag) or an external clock "
+                            "tell it from a lag of all drives")
 
     def times(self, t):
         return t + self.offset * (np.asarray(t) >= self.since)

@@ -37,6 +37,12 @@ def test_the_command_writes_the_best_plan_or_says_that_none_does(tmp_path, capsy
     out = tmp_path / "plan.csv"
     argv = ["plan", str(tmp_path / "rig.toml"), "--separate", "backlash:strut3:gap=4e-5", "hysteresis:strut3:range=4e-4,weight=0.1"]
     assert cli.main([*argv, "--out", str(out)]) == 0
-    assert "best: moving" in capsys.readouterr().out and out.read_text().startswith("t,l1,l2,l3,l4,l5,l6\n")
+    assert "best: zigzag" in capsys.readouterr().out and out.read_text().startswith("t,l1,l2,l3,l4,l5,l6\n")
     assert cli.main([*argv[:3], "edge_bias:cameras:bias=0.1", argv[4], "--out", str(out)]) == 1
     assert "changes what is seen" in capsys.readouterr().err
+
+
+def test_reversals_at_speed_tell_a_lag_from_a_clock(design):
+    effects = "servo_lag:rig:time_constant=0.01", "time_offset:clock:offset=-0.01"
+    smooth, sharp = (told_apart(design, text, *effects) for text in ("moving:40", "zigzag:40"))
+    assert smooth.misfit < 3 < 20 < sharp.misfit
