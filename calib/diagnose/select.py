@@ -134,7 +134,9 @@ def _confirm(settled, chosen, families, signatures, progress):
         rivals, refitted = _refitted(settled, number, score, rivals, signatures)
         better = rivals and rivals[0].behind < -1.0 and convincing(rivals[0].score, len(families), settled.planes.size)
         if better and rivals[0] in refitted:
-            settled, chosen[number], number, findings = refitted[rivals[0]], rivals[0].score.family, 0, []
+            k = refitted[rivals[0]].knowledge
+            order = [*k.effects[:number], k.effects[-1], *k.effects[number:-1]]
+            settled, chosen[number], number, findings = settle(k.with_effects(order), signatures), rivals[0].score.family, 0, []
             continue
         findings.append(Finding(number, score, [r for r in rivals if _alike(r)]))
         number += 1
@@ -185,7 +187,7 @@ def _alike(rival):
 
 
 def _refitted(settled, number, score, rivals, signatures):
-    """([Rival] by weight, {Rival: Settled with it in the finding's place}).
+    """([Rival] by weight, {Rival: Settled with it in place of the finding, the last of the effects}).
 
     Those that a scan does not tell from a finding are fitted with all that is free: a scan takes for scatter what is not admitted yet, and
     so tells of a strong effect far less than it could.
@@ -197,11 +199,9 @@ def _refitted(settled, number, score, rivals, signatures):
     bare, out = _left_out(settled, number, signatures), {}
     for r in close:
         new = admit(bare, r.score, signatures.at(bare.knowledge))
-        effects = list(new.knowledge.effects)
-        effects.insert(number, effects.pop())
         least = min(new.knowledge.standing, settled.knowledge.standing)
         behind = new.likelihood(least) - settled.likelihood(least) + r.score.occam(size) - score.occam(size)
-        out[replace(r, behind=behind)] = settle(new.knowledge.with_effects(effects), signatures)
+        out[replace(r, behind=behind)] = new
     return sorted([*out, *(r for r in rivals if r not in close)], key=lambda r: r.behind), out
 
 
