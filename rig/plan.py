@@ -222,12 +222,10 @@ def _zigzag(writer, design, count, rng):
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
     writer.go(strokes.mean(axis=1) - leg / 2)
     writer.dwell(1.0)
-    for k in range(count or 60):
-        writer.t.append(writer.t[-1] + EXPOSE_EVERY)
-        writer.values.append(writer.values[-1] + (leg if k % 2 == 0 else -leg))
-        writer.exposures.append(writer.t[-1] + TURNED[k // 2 % len(TURNED)])
-    writer.t.append(writer.t[-1] + EXPOSE_EVERY)
-    writer.values.append(writer.values[-1] + (leg if (count or 60) % 2 == 0 else -leg))
+    start, turns = writer.t[-1], np.arange(1, (count or 60) + 2)
+    writer.t += (start + turns * EXPOSE_EVERY).tolist()
+    writer.values += [writer.values[-1] + leg * (k % 2) for k in turns]
+    writer.exposures += [start + k * EXPOSE_EVERY + TURNED[(k - 1) // 2 % len(TURNED)] for k in turns[:-1]]
 
 
 def _warmup(writer, design, count, rng):

@@ -65,6 +65,12 @@ def corner_rows(k):
     return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns, own
 
 
+def edges_of(names, design):
+    """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
+    cameras = [camera.name for camera in design.cameras]
+    return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
+
+
 def _weights(o, k):
     """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
     if not k.standing:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.corners import EDGES, FINDER, MEDIAN, corner_rows
+from calib.diagnose.corners import FINDER, MEDIAN, corner_rows, edges_of
 from calib.diagnose.knowledge import Knowledge
 from calib.identify import PRIOR, loop_jacobian, parameters
 from rig import mechanisms
@@ -161,8 +161,8 @@ def linearise(knowledge):
         S, raw, lengths = np.zeros((len(k.t), 0, 0)), np.zeros((len(k.t), 0)), np.zeros((len(k.t), 0, image.shape[1]))
         to_length = np.zeros((len(k.t), 0, to_local.shape[1]))
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
-    for j, i in enumerate(np.flatnonzero([name == EDGES for _, name in names])) if k.finder else ():
-        beforehand[i, 0] = -k.finder[sorted(camera_columns)[j]] / FINDER
+    for i, j in edges_of(names, k.design) if k.finder else ():
+        beforehand[j, 0] = -k.finder[i] / FINDER
     if k.axes and k.known is not None:
         mechanism, root = k.known
         beforehand[-42:, 0] = root @ (parameters(mechanism) - parameters(k.design.mechanism))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnose.corners import EDGES
+from calib.diagnose.corners import edges_of
 from calib.diagnose.planes import Column
 from calib.samples import blocks
 
@@ -72,7 +72,7 @@ def _left(planes, image, struts, fold):
     right = np.stack([Q.image[a:b].T @ image[a:b] + Q.struts[f * axes : (f + 1) * axes].T @ struts[f * axes : (f + 1) * axes]
                       for f, (a, b) in enumerate(zip(2 * planes.edges[:-1], 2 * planes.edges[1:]))])
     priors = Q.struts[F * axes :]
-    finder = [j for j, (_, name) in enumerate(planes.names) if name == EDGES]
+    finder = [j for _, j in edges_of(planes.names, planes.knowledge.design)]
     known = struts[F * axes :] - priors @ (right.sum(axis=0) + priors.T @ struts[F * axes :])
     out_image, out_struts = image.copy(), struts[: F * axes].copy()
     for hold in np.unique(fold):

@@ -56,8 +56,8 @@ class Score:
         """What its parameters cost it against other hypotheses, as minus twice a logarithm, for residuals of a size.
 
         A number that rigs show over some range is as likely at every order of magnitude of it, and hardly ever beyond or of the wrong sign: its
-        cost is that of Laplace's approximation. A shape's parameter costs what the search over it shows; all else, half the logarithm of the size
-        for each (MacKay, Information theory, inference and learning algorithms, 2003, ch. 28).
+        cost is that of Laplace's approximation. A shape's parameter costs what the search over it shows; all else, the logarithm of the size for
+        each (MacKay, Information theory, inference and learning algorithms, 2003, ch. 28).
         """
         asked = {name for name, *_ in self.family.linear} | set(self.shape)
         scalars = [p for p in self.family.kind.parameters if p.size == 1 and p.name in asked and p.role in ("linear", "inverse", "size")]

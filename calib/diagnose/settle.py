@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.corners import EDGES, standing
+from calib.diagnose.corners import edges_of, standing
 from calib.diagnose.knowledge import Knowledge, moved
 from calib.diagnose.planes import Column, Planes, linearise
 from calib.diagnose.search import column_of
@@ -141,7 +141,7 @@ def settle(knowledge, signatures):
 
 
 def resettle(knowledge, signatures):
-    """The same, where standing corners repeat as much as the knowledge says."""
+    """Settled as by `settle`, standing corners repeating as many px as the Knowledge already says."""
     planes = linearise(knowledge)
     coordinates, column = tangents(planes, signatures)
     for _ in range(MAX_ITERATIONS):
@@ -283,10 +283,9 @@ def _apply(planes, freedoms, step, column, effects):
         matrix = cameras[i].matrix.copy()
         matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += value[:4]
         cameras[i] = replace(cameras[i], matrix=matrix, distortion=cameras[i].distortion + value[4:])
-    finder = dict(enumerate(k.finder))
-    biases = [value for value, (_, name) in zip(freedoms, planes.names) if name == EDGES]
-    for i, value in zip(sorted(planes.camera_columns), biases):
-        finder[i] = finder.get(i, 0.0) + float(value)
+    finder = list(k.finder or [0.0] * len(cameras))
+    for i, j in edges_of(planes.names, k.design):
+        finder[i] += float(freedoms[j])
     m = k.design.mechanism
     if k.axes:
         g = freedoms[len(planes.names) - 42 :]
@@ -294,5 +293,4 @@ def _apply(planes, freedoms, step, column, effects):
                     strut_zeros=m.strut_zeros + g[36:])
     if k.seen is None:
         local = np.zeros((planes.frames, 6))
-    finder = tuple(finder.get(i, 0.0) for i in range(len(cameras))) if finder else ()
-    return replace(moved(k, cameras, m, local), effects=tuple(effects), finder=finder)
+    return replace(moved(k, cameras, m, local), effects=tuple(effects), finder=tuple(finder))

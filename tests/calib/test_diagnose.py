@@ -17,19 +17,10 @@ from rig import plan, recording
 from rig.effects.parse import parse
 from rig.layout import layout
 from synthetic import outlaws, simulation, world
+from tests.calib.recorded import recorded
 from tests.numeric import jacobian
 from tests.vision import tumbling
 from vision.targets import marker_map
-
-PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
-
-
-def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04):
-    """Recording of a secret machine with effects (texts)."""
-    rng = np.random.default_rng(seed)
-    secret = world.draw(design, rng, 1.0, tuple(parse(text) for text in effects))
-    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, layout(0.3), rng, noise)
-    return recording.load(folder)
 
 
 @pytest.fixture(scope="module")

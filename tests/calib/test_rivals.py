@@ -8,25 +8,11 @@ from calib.diagnose.hypotheses import Family, Signatures
 from calib.diagnose.knowledge import of_recording
 from calib.diagnose.scan import Score
 from calib.diagnose.settle import settle
-from rig import plan, recording
 from rig.effects import BY_NAME
-from rig.effects.parse import parse
-from rig.layout import layout
-from synthetic import outlaws, simulation, world
+from synthetic import outlaws
+from tests.calib.recorded import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
-
-
-def recorded(folder, design, *effects, logged=True, route=PLAN, seed=5):
-    """Recording of a secret machine with effects, its temperatures logged or not."""
-    rng = np.random.default_rng(seed)
-    done = simulation.simulate(world.draw(design, rng, 1.0, effects), plan.build(design, route, seed), rng)
-    simulation.write(done, folder, layout(0.3), rng, 0.04)
-    if not logged:
-        lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
-        kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
-        (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
-    return recording.load(folder)
 
 
 def score(name, place, shape, coefficients, linear, drop=400.0, curve=None):
@@ -52,24 +38,22 @@ def test_what_rigs_do_not_show_costs_more():
 
 
 def test_a_shape_costs_what_the_search_over_it_shows():
-    shapes = np.full(16, 100.0)
-    flat, sharp = shapes.copy(), shapes.copy()
-    sharp[:] = 0
-    flat[5] = sharp[5] = 100.0
+    flat, sharp = np.full(16, 100.0), np.zeros(16)
+    sharp[5] = 100.0
     costs = [score("warm_up", "rig", {"time_constant": 900.0}, [2e-5], [("amplitude", None, 1e-6)], 100.0, curve).occam(5000)
              for curve in (flat, sharp)]
     assert costs[1] - costs[0] == pytest.approx(2 * np.log(16))
 
 
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
-    rec = recorded(tmp_path, design, parse("servo_lag:rig:time_constant=0.045"), route="moving:40,sobol:30,moving:40")
+    rec = recorded(tmp_path, design, ["servo_lag:rig:time_constant=0.045"], route="moving:40,sobol:30,moving:40")
     finding, = result.to_dict(result.diagnose(rec, only=["servo_lag", "time_offset"]))["findings"]
     assert (finding["effect"], finding["place"]) == ("servo_lag", "rig")
     assert all(r["delta_bic"] > 20 for r in finding["cannot_be_told_from"])
 
 
 def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design):
-    knowledge = of_recording(recorded(tmp_path, design, parse("edge_bias:cameras:bias=0.25"), route="sobol:40"))[0]
+    knowledge = of_recording(recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40"))[0]
     settled = settle(knowledge, Signatures(knowledge))
     np.testing.assert_allclose(settled.knowledge.finder, 0.25, atol=0.02)
     planes = settled.planes
@@ -79,18 +63,19 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
 
 
 def test_a_step_soon_after_the_start_is_found(tmp_path, design):
-    found = result.diagnose(recorded(tmp_path, design, parse("missed_steps:strut4:jump=6e-5,time=70")), only=["missed_steps", "warm_up", "creep"])
+    rec = recorded(tmp_path, design, ["missed_steps:strut4:jump=6e-5,time=70"], route=PLAN)
+    found = result.diagnose(rec, only=["missed_steps", "warm_up", "creep"])
     assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
 
 
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
-    rec = recorded(tmp_path, design, outlaws.SlippingClutch("strut 5", 1.2e-4))
+    rec = recorded(tmp_path, design, [outlaws.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
     found = result.diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
     assert not found.effects and found.unknown[0].place == "strut 5"
 
 
 def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_path, design):
-    rec = recorded(tmp_path, design, parse("base_expansion:rig:coefficient=1e-4"), logged=False, route="sobol:50,ladder:2,sobol:60")
+    rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
     found = result.diagnose(rec, only=["warm_up", "base_expansion"])
     named = {(f.score.family.kind.name, *(r.score.family.kind.name for r in f.rivals)) for f in found.selection.findings}
     assert found.effects and all("base_expansion" in names for names in named)

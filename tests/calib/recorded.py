@@ -1,0 +1,22 @@
+"""Recordings of secret machines with effects at work, for tests of the diagnosis."""
+
+import numpy as np
+
+from rig import plan, recording
+from rig.effects.parse import parse
+from rig.layout import layout
+from synthetic import simulation, world
+
+PLAN = "moving:12,sobol:40,ladder:10,moving:12,sobol:30"
+
+
+def recorded(folder, design, effects, seed=5, route=PLAN, noise=0.04, logged=True):
+    """Recording of a secret machine with effects (texts or Effects), its temperatures logged or not. noise : px"""
+    rng = np.random.default_rng(seed)
+    secret = world.draw(design, rng, 1.0, tuple(parse(e) if isinstance(e, str) else e for e in effects))
+    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, layout(0.3), rng, noise)
+    if not logged:
+        lines = [line.split(",") for line in (folder / "sensors.csv").read_text().splitlines()]
+        kept = [i for i, name in enumerate(lines[0]) if "temperature" not in name]
+        (folder / "sensors.csv").write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
+    return recording.load(folder)
