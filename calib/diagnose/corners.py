@@ -15,7 +15,7 @@ STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard erro
 
 
 def corner_rows(k):
-    """Whitened residuals and derivatives of all corners, frame by frame, and each frame's own basis."""
+    """Whitened residuals (first column) and derivatives of all corners, frame by frame, and each frame's own basis."""
     seen = k.seen
     o = seen.observations
     n, L = len(o), 6 + 6 * len(k.moving)
@@ -49,11 +49,12 @@ def corner_rows(k):
         shared.append((at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None]))
         names.append((camera.name, EDGES))
         priors.append(1 / FINDER)
-    V, start = np.zeros((n, 2, len(names))), 0
+    image, start = np.zeros((n, 2, 1 + len(names))), 1
+    image[:, :, 0] = rho[order]
     for rows, block in shared:
-        V[rows, :, start : start + block.shape[2]] = block
+        image[rows, :, start : start + block.shape[2]] = block
         start += block.shape[2]
-    rho, J_local, V = rho[order].reshape(-1), J_local.reshape(2 * n, L), V.reshape(2 * n, -1)
+    J_local, image = J_local.reshape(2 * n, L), image.reshape(2 * n, -1)
     local, to_local = np.zeros((2 * n, L)), np.zeros((len(k.t), L, L))
     scale = np.sqrt((J_local**2).sum(axis=0) / len(k.t)) + 1e-300
     for f, (a, b) in enumerate(zip(edges[:-1], edges[1:])):
@@ -62,7 +63,7 @@ def corner_rows(k):
         local[2 * a : 2 * b, : kept.sum()] = u[:, kept]
         to_local[f][:, : kept.sum()] = (vt[kept].T / s[kept]) / scale[:, None]
     own = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    return order, edges, whitener[order], rho, local, to_local, V, names, priors, camera_columns, own
+    return order, edges, whitener[order], image, local, to_local, names, priors, camera_columns, own
 
 
 def edges_of(names, design):

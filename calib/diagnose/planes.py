@@ -131,23 +131,25 @@ def linearise(knowledge):
     k = knowledge
     priors, names, camera_columns = [], [], {}
     if k.seen is not None:
-        order, edges, whiten, rho, local, to_local, V, image_names, image_priors, camera_columns, own = corner_rows(k)
+        order, edges, whiten, image, local, to_local, image_names, image_priors, camera_columns, own = corner_rows(k)
         names += image_names
         priors += image_priors
     else:
         order, edges, whiten = np.zeros(0, int), np.zeros(k.frames.shape[0] + 1, int), np.zeros((0, 2, 2))
-        rho, local, to_local, V = np.zeros(0), np.zeros((0, 6)), np.tile(np.eye(6), (len(k.t), 1, 1)), np.zeros((0, 0))
+        image, local, to_local = np.zeros((0, 1)), np.zeros((0, 6)), np.tile(np.eye(6), (len(k.t), 1, 1))
     sigma, excess = 1.0, 0.0
-    if len(rho):
-        inner, image = _split(V, local, edges)
-        sigma = _noise(_split(rho[:, None].copy(), local, edges)[1][:, 0], image, priors, own, local.shape[1] * len(k.t))
+    if len(image):
+        rho = image[:, 0].copy()
+        inner, image = _split(image, local, edges)
+        sigma = _noise(image[:, 0], image[:, 1:], priors, own, local.shape[1] * len(k.t))
         far = np.abs(rho / sigma)
         excess = float((2 * CLIP * np.maximum(far - CLIP, 0)).sum())
-        parts = zip(_split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges), (inner, image))
-        inner, image = (np.concatenate([residual, columns / sigma], axis=-1) for residual, columns in parts)
+        image /= sigma
+        inner /= sigma
+        inner[..., :1], image[:, :1] = _split(np.clip(rho / sigma, -CLIP, CLIP)[:, None], local, edges)
         to_local = to_local * sigma
     else:
-        inner, image = np.zeros((len(k.t), 6, 1)), np.zeros((0, 1))
+        inner = np.zeros((len(k.t), 6, 1))
     if k.axes:
         m = k.design.mechanism
         A = mechanisms.of(m).jacobian(k.T, m)

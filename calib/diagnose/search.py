@@ -1,9 +1,12 @@
 """All families against one pair of planes: the best of each, most convincing first."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from calib.diagnose import scan
+from calib.diagnose.forked import each
 from calib.diagnose.planes import Column
 from calib.diagnose.scan import Score
 from rig.effects.base import Effect
@@ -23,20 +26,27 @@ def search(planes, families, signatures, progress=None):
     k = planes.knowledge
     motion = k.motion(k.effects) if k.axes else None
     struts = scan.strut_atoms(planes) if k.axes else None
-    mounts, out = {}, []
-    for done, family in enumerate(families):
+    mounts, held = {}, set(signatures.pixels)
+
+    def ask(family):
         if family.kind.name == "vibration":
-            out.append(_vibration(planes, family, struts))
+            score = _vibration(planes, family, struts)
         elif family.plane == "struts":
-            out.append(_strutwise(planes, family, signatures, struts, motion))
+            score = _strutwise(planes, family, signatures, struts, motion)
         elif family.kind.mount is not Effect.mount:
             if family.place not in mounts:
                 mounts[family.place] = scan.view_atoms(planes, mount_pixels(planes, family.place))
-            out.append(_mounted(planes, family, mounts[family.place]))
+            score = _mounted(planes, family, mounts[family.place])
         else:
-            out.append(_viewed(planes, family, signatures))
-        if progress:
-            progress(done + 1, len(families))
+            score = _viewed(planes, family, signatures)
+        new = {key: signatures.pixels[key] for key in signatures.pixels.keys() - held}
+        held.update(new)
+        return replace(score, family=None), new  # a family is known by its identity, which no copy has
+
+    out = []
+    for family, (score, new) in zip(families, each(ask, families, progress)):
+        signatures.pixels.update(new)
+        out.append(replace(score, family=family))
     return sorted(out, key=lambda s: -s.raw_gain(planes.size))
 
 

@@ -1,0 +1,60 @@
+"""A function of many things on several processes: the same results in the same order, errors and progress as on one."""
+
+import os
+
+import numpy as np
+import pytest
+
+from calib.diagnose import forked
+from calib.diagnose.hypotheses import Signatures, families
+from calib.diagnose.knowledge import of_recording
+from calib.diagnose.planes import linearise
+from calib.diagnose.search import search
+from tests.calib.recorded import recorded
+
+
+@pytest.fixture(params=[1, 3])
+def processes(request, monkeypatch):
+    monkeypatch.setattr(forked, "cores", lambda: request.param)
+    return request.param
+
+
+def test_results_come_in_order_and_progress_reaches_the_end(processes):
+    things, seen = [object() for _ in range(40)], []
+    out = forked.each(lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of)))
+    assert [i for i, _ in out] == list(range(40)) and seen == [(i, 40) for i in range(1, 41)]
+    assert (len({pid for _, pid in out} - {os.getpid()}) > 0) == (processes > 1)
+
+
+def test_what_a_process_raises_is_raised_here(processes):
+    def fail(i):
+        if i == 17:
+            raise ValueError("thing 17")
+        return i
+
+    with pytest.raises(ValueError, match="thing 17"):
+        forked.each(fail, range(40))
+    assert forked.each(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
+
+
+def test_cores_are_limited_as_threads_are(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert forked.cores() == 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "4,2")  # of nested threads, which there are none of here
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(3)), raising=False)
+    assert forked.cores() == 3
+
+
+def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
+    knowledge = of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
+    planes, (asked, _) = linearise(knowledge), families(knowledge, only=["backlash", "camera_drift", "vibration", "face_misplacement"])
+    both = []
+    for count in (1, 3):
+        monkeypatch.setattr(forked, "cores", lambda count=count: count)
+        signatures = Signatures(knowledge)
+        both.append((search(planes, asked, signatures), signatures.pixels))
+    (one, pixels), (several, kept) = both
+    assert [s.family for s in one] == [s.family for s in several] and pixels.keys() == kept.keys()
+    for a, b in zip(one, several):
+        assert a.shape == b.shape and a.drop == pytest.approx(b.drop, rel=1e-6)
+        np.testing.assert_allclose(a.coefficients, b.coefficients, rtol=1e-5, atol=1e-12)
