@@ -2,7 +2,7 @@
 
 import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 from rig.design import Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
+from rig.processes import cores, gathered
 from synthetic import scene
 from synthetic.render import Renderer, opengl
 from synthetic.sensor import expose
@@ -43,7 +44,7 @@ def render(simulation, out, images, seed, progress=None):
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
     # camera by camera, since a process that changes camera makes a new framebuffer
     work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
-    count = min(images.processes or len(os.sched_getaffinity(0)), len(work))
+    count = min(images.processes or cores(), len(work))
     if count <= 1:
         _start(simulation, out, images, seed)
         for done, item in enumerate(work, 1):
@@ -56,15 +57,7 @@ def render(simulation, out, images, seed, progress=None):
     os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
     try:
         with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (simulation, out, images, seed)) as pool:
-            futures = [pool.submit(_draw, item) for item in work]
-            try:
-                for done, future in enumerate(as_completed(futures), 1):
-                    future.result()
-                    if progress:
-                        progress(done, len(work))
-            finally:
-                for future in futures:
-                    future.cancel()
+            gathered(pool, _draw, work, progress)
     finally:
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
 

@@ -1,6 +1,5 @@
 """Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -8,6 +7,7 @@ import cv2
 import numpy as np
 
 from rig.errors import FileError
+from rig.processes import cores
 from rig.recording import Corners
 from vision import expect
 from vision.detect import detect, grey, place, search
@@ -194,7 +194,7 @@ def _in_parallel(one, work, progress):
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # images are the parallel unit
     try:
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             results = []
             futures = [pool.submit(one, item) for item in work]
             try:

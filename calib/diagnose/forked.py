@@ -1,15 +1,16 @@
 """One function of many things on all cores: what it reads is inherited by forking, only what it found is sent back."""
 
 import multiprocessing
-import os
 import signal
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 
 from threadpoolctl import threadpool_limits
 
+from rig.processes import cores, gathered
+
 FEW = 4  # things for each process, below which it is not worth starting any
 
-_function = None  # what the processes forked next are to call
+_inherited = None  # what the processes forked next are to call
 
 
 def each(function, things, progress=None):
@@ -18,7 +19,7 @@ def each(function, things, progress=None):
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1.
     progress : called with (done, of), or None
     """
-    global _function
+    global _inherited
     count = min(cores(), len(things) // FEW)
     if count < 2 or "fork" not in multiprocessing.get_all_start_methods():
         out = []
@@ -27,28 +28,12 @@ def each(function, things, progress=None):
             if progress:
                 progress(len(out), len(things))
         return out
-    _function, before = (function, things), _function
+    _inherited, before = (function, things), _inherited
     try:
         with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), _start) as pool:
-            futures = [pool.submit(_call, i) for i in range(len(things))]
-            try:
-                for done, future in enumerate(as_completed(futures), 1):
-                    future.result()
-                    if progress:
-                        progress(done, len(things))
-            finally:
-                for future in futures:
-                    future.cancel()
+            return gathered(pool, _call, range(len(things)), progress)
     finally:
-        _function = before
-    return [future.result() for future in futures]
-
-
-def cores():
-    """How many processes may run at a time: the cores that this process may use, OMP_NUM_THREADS at most."""
-    limit = os.environ.get("OMP_NUM_THREADS", "")
-    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(here, int(limit)) if limit.isdigit() and int(limit) else here
+        _inherited = before
 
 
 def _start():
@@ -57,5 +42,5 @@ def _start():
 
 
 def _call(i):
-    function, things = _function
+    function, things = _inherited
     return function(things[i])

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rig.commands.output import Progress, fresh_folder
 from rig.errors import MissingLibrary, RigError
+from rig.processes import cores
 
 DIAGNOSE = ("import sys; from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[1]); sys.exit(main(sys.argv[2:]))")
 SEAL = "import json, sys; from rig.commands.blind import seal; seal(*json.loads(sys.argv[1]))"
@@ -32,7 +33,7 @@ def arguments(parser):
     parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
     parser.add_argument("--blindfold", metavar="WHAT", default="", help="take away, joined by commas: temperature, payload, reversals, motion")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes at a time (default all cores)")
+    parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same folders, instead of this machine's cores")
 
 

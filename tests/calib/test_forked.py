@@ -37,14 +37,6 @@ def test_what_a_process_raises_is_raised_here(processes):
     assert forked.each(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
 
 
-def test_cores_are_limited_as_threads_are(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert forked.cores() == 1
-    monkeypatch.setenv("OMP_NUM_THREADS", "4,2")  # of nested threads, which there are none of here
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(3)), raising=False)
-    assert forked.cores() == 3
-
-
 def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
     knowledge = of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
     planes, (asked, _) = linearise(knowledge), families(knowledge, only=["backlash", "camera_drift", "vibration", "face_misplacement"])

@@ -1,0 +1,28 @@
+"""Many things done by several processes."""
+
+import os
+from concurrent.futures import as_completed
+
+
+def cores():
+    """How many processes may run at a time: the cores that this process may use, OMP_NUM_THREADS at most."""
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(here, int(limit)) if limit.isdigit() and int(limit) else here
+
+
+def gathered(pool, function, things, progress=None):
+    """[function(thing)] by an executor, in the things' order; what one raises is raised, and the rest is not begun.
+
+    progress : called with (done, of), or None
+    """
+    futures = [pool.submit(function, thing) for thing in things]
+    try:
+        for done, future in enumerate(as_completed(futures), 1):
+            future.result()
+            if progress:
+                progress(done, len(futures))
+    finally:
+        for future in futures:
+            future.cancel()
+    return [future.result() for future in futures]
