@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 from scipy.spatial import cKDTree
 
 from calib.arms.certify import calibrate
@@ -81,6 +82,7 @@ def arms_of(samples, nominal, instrument, gravity, commands=None, channels=None)
                 observations.covariance, moments(samples.commanded, found.arm, gravity), path, channels or {}, J @ step), found
 
 
+@threadpool_limits.wrap(limits=1)
 def diagnose(recording, only=None, without=(), progress=None):
     """ArmDiagnosis of a Recording of an arm. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
 

@@ -1,10 +1,11 @@
-"""One function of many things on all cores: what it reads is inherited by forking, only what it found is sent back."""
+"""One function of many things on all cores: what it reads is inherited by forking, only what it found is sent back.
+
+Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
+"""
 
 import multiprocessing
 import signal
 from concurrent.futures import ProcessPoolExecutor
-
-from threadpoolctl import threadpool_limits
 
 from rig.processes import cores, gathered
 
@@ -38,7 +39,6 @@ def each(function, things, progress=None):
 
 def _start():
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
-    threadpool_limits(1)
 
 
 def _call(i):

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calib.diagnose import knowledge as known
 from calib.diagnose.gross import exchanged, swaps
@@ -47,6 +48,7 @@ class Diagnosis:
         return [self.selection.settled.knowledge.effects[f.number] for f in self.selection.findings]
 
 
+@threadpool_limits.wrap(limits=1)
 def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     """Diagnosis of a Recording.
 
