@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
@@ -47,8 +48,7 @@ def run(arguments):
     _same_season(out / "season.json", settings)
     for name in ("recordings", "seals", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
-    pool = _pool(arguments.scheduler, arguments.jobs)
-    try:
+    with _pool(arguments.scheduler, arguments.jobs) as pool:
         unsealed = [i for i in indices if not _seal(out, i).exists()]
         for _ in _each(pool, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
             pass
@@ -56,8 +56,6 @@ def run(arguments):
         for index, _, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
             if error:
                 print(f"trial {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
     known = sorted(int(path.stem) for path in (out / "seals").glob("*.sha256") if _done(out, int(path.stem)))
     cases = [_unsealed(out, i, score) for i in known]
     _report(out, settings, cases, score)
@@ -166,18 +164,26 @@ def _done(out, index):
     return (out / "diagnoses" / f"{index:04d}.json").exists()
 
 
+@contextmanager
 def _pool(scheduler, jobs):
-    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster."""
+    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster. At its end what has not begun is dropped."""
     if scheduler is None:
-        return ThreadPoolExecutor(jobs)
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+        return
     try:
         from dask.distributed import Client
     except ImportError:
         raise MissingLibrary("--scheduler needs Dask: pip install distributed") from None
     try:
-        return Client(scheduler, timeout=20).get_executor(pure=False)
+        client = Client(scheduler, timeout=20)
     except (OSError, ValueError) as error:
         raise RigError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+    with client:
+        yield client.get_executor(pure=False)
 
 
 def _each(pool, function, calls, label):

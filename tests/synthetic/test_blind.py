@@ -206,8 +206,18 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
 
 def test_a_scheduler_without_dask_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
-    with pytest.raises(RigError, match="pip install distributed"):
-        command._pool("tcp://127.0.0.1:1", 1)
+    with pytest.raises(RigError, match="pip install distributed"), command._pool("tcp://127.0.0.1:1", 1):
+        pass
+
+
+def test_a_season_on_a_cluster(tmp_path):
+    from dask.distributed import LocalCluster
+
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        assert cli.main(["blind", "--season", "1", "--frames", "40", "--hide", "nothing", "--out", str(tmp_path / "s"),
+                         "--scheduler", cluster.scheduler_address]) == 0
+    tree = json.loads((tmp_path / "s" / "score.json").read_text())
+    assert [t["failed"] for t in tree["trials"]] == [None]
 
 
 @pytest.mark.slow
