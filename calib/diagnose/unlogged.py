@@ -22,49 +22,59 @@ STEP = 1e-5  # 1/K
 
 def unlogged(selection, signatures):
     """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth function of time, has that
-    effect among its rivals; effects whose temperature was logged are not asked for."""
+    effect among its rivals, at its own place or at the whole machine; effects whose temperature was logged are not asked for."""
     settled = selection.settled
     k = settled.knowledge
-    kinds = [kind for kind in WARM if not _logged(k, kind) and (k.axes if kind.stage != "view" else k.seen is not None)]
-    if not kinds or not selection.findings:
-        return selection
+    kinds = [kind for kind in WARM if (k.axes if kind.stage != "view" else k.seen is not None)]
     findings = []
     for f in selection.findings:
+        asked = [(kind, place) for kind in kinds for place in _places(kind, f.score.family.place) if _lacking(k, _followed(k, kind, place))]
+        if not asked:
+            findings.append(f)
+            continue
         planes, rivals = beside(settled, f.number, signatures), list(f.rivals)
         alone = freed(planes, signatures)
         own = f.score.drop * f.score.dispersion
-        for kind in kinds:
-            column = _courses(planes, kind)
-            warm = freed(planes.without(column), signatures)
+        for kind, place in asked:
+            warm = freed(planes.without(_courses(planes, kind, place)), signatures)
             if stands(f, warm, selection.families, signatures):
                 continue
             drop = alone.cost() - warm.cost()
-            score = Score(Family(kind, _place(kind), [{}], []), {}, np.zeros(0), drop, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
+            score = Score(Family(kind, place, [{}], []), {}, np.zeros(0), drop, 1.0, SLOW, 1.0, 1.0, np.zeros(1))
             behind = own - drop - (f.score.freedom - SLOW) * np.log(planes.size)
             rivals.append(Rival(score, behind, float(np.sqrt(np.clip(drop / own, 0, 1)))))
         findings.append(replace(f, rivals=rivals))
     return replace(selection, findings=findings)
 
 
-def _logged(k, kind):
-    channels = k.sensors.channels if k.sensors is not None else {}
+def _places(kind, place):
+    """Where an effect may sit that looks like a finding at a place: all over, or just there."""
+    return [at for at in kind.places if at not in ("strut", "camera")] + [place] * (place.split(" ")[0] in kind.places and " " in place)
+
+
+def _followed(k, kind, place):
+    """[channels] of temperatures that an effect follows at a place, any one of each."""
+    part = place.partition(" ")[2]
     if kind is ThermalExpansion:
-        return any(name.startswith("strut") and name.endswith("_temperature_C") for name in channels)
-    return "ambient_temperature_C" in channels or kind is FocalDrift and any(name.startswith("camera_") for name in channels)
+        return [(f"strut{i}_temperature_C",) for i in ([part] if part else range(1, k.axes + 1))]
+    if kind is BaseExpansion:
+        return [("ambient_temperature_C",)]
+    return [(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in ([part] if part else [c.name for c in k.design.cameras])]
 
 
-def _place(kind):
-    return "rig" if "rig" in kind.places else kind.places[0]
+def _lacking(k, followed):
+    logged = set(k.sensors.channels) if k.sensors is not None else set()
+    return not all(logged & set(channels) for channels in followed)
 
 
-def _courses(planes, kind):
+def _courses(planes, kind, place):
     """Column (SLOW) of an effect under temperatures that are cosines of time."""
     k, parts = planes.knowledge, []
-    place = _place(kind)
-    channels = ["ambient_temperature_C", *(f"strut{i + 1}_temperature_C" for i in range(k.axes))]
     order = np.argsort(k.t)
+    logged = {name: k.sensors.at(k.t[order], name) for name in k.sensors.channels} if k.sensors is not None else {}
     for course in cosines(k.t, SLOW).T:
-        known = replace(k, sensors=Sensors(k.t[order], {channel: REFERENCE_TEMPERATURE + course[order] for channel in channels}))
+        warmth = {channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in _followed(k, kind, place)}
+        known = replace(k, sensors=Sensors(k.t[order], {**logged, **warmth}))
         effect = kind(place, **{kind.parameters[0].name: STEP})
         if kind.stage == "view":
             parts.append(planes.fold(((known.pixels((*k.effects, effect)) - known.pixels(k.effects)) / STEP)[..., None]))

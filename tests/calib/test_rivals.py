@@ -79,3 +79,15 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_p
     found = result.diagnose(rec, only=["warm_up", "base_expansion"])
     named = {(f.score.family.kind.name, *(r.score.family.kind.name for r in f.rivals)) for f in found.selection.findings}
     assert found.effects and all("base_expansion" in names for names in named)
+
+
+@pytest.mark.parametrize(("text", "alike"), [
+    ("thermal_expansion:strut4:coefficient=6e-5", "warm_up"),
+    ("focal_drift:camera cam1:per_kelvin=1.5e-4", "camera_drift"),
+])
+def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alike):
+    name, place, _ = text.split(":")
+    rec = recorded(tmp_path, design, [text], logged=False, route="sobol:50,ladder:2,sobol:60")
+    found = result.diagnose(rec, only=[alike, name])
+    sets = [[(r.score.family.kind.name, r.score.family.place) for r in f.rivals] for f in found.selection.findings]
+    assert found.effects[0].name == alike and (name, place.replace("strut", "strut ")) in sets[0]
