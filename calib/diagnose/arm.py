@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from calib.arms.certify import calibrate
 from calib.arms.model import moved
@@ -14,6 +14,7 @@ from calib.diagnose.joint_select import findings, select
 from calib.diagnose.joint_unknown import unknowns
 from calib.diagnose.joints import Arms, Fit, fit, stretches
 from calib.diagnose.repeats import repeats
+from calib.diagnose.weather import smoothed
 from calib.pipeline import sample_recording
 from rig.effects.base import Path
 from rig.errors import NotEnoughData
@@ -90,7 +91,7 @@ def diagnose(recording, only=None, without=(), progress=None):
     """
     sampled = sample_recording(recording, progress=progress)
     s, design = sampled.samples, recording.design
-    sensors = recording.sensors
+    sensors = smoothed(recording.sensors)
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
     arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
     return diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.diagnose.weather import smoothed
 from calib.pipeline import sample_recording
 from rig import machine, mechanisms
 from rig.design import Design
@@ -41,7 +42,7 @@ class Knowledge:
     design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
     T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
     own : (F, 6, 6) covariance of poses that an outside instrument measured, or None
-    commands : Commands or None; sensors : Sensors or None; seen : Seen or None; effects : those admitted
+    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : Seen or None; effects : those admitted
     finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
@@ -131,7 +132,7 @@ def of_recording(recording, progress=None, calibration=None, places="auto"):
     places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
     Raises NotEnoughData where nothing was measured, and what measuring raises
     """
-    design = recording.design
+    design, sensors = recording.design, smoothed(recording.sensors)
     if design.mechanism.kind not in ("hexapod", "free"):
         raise RigError(f"{recording.folder}: diagnosing takes a hexapod or a free body, not a mechanism of kind {design.mechanism.kind!r}; "
                        "rig calibrate says what its geometry leaves")
@@ -148,14 +149,14 @@ def of_recording(recording, progress=None, calibration=None, places="auto"):
         measured, source = sampled.measurement, sampled.source
         if measured is None:
             s = sampled.samples
-            return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, recording.sensors, None,
+            return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, sensors, None,
                              known=known), source, None
     if len(measured.frames) < 12:
         raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes 12, better 100")
     frames, times = recording.exposures.times()
     state = measured.adjustment.state
     knowledge = Knowledge(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
-                          state.moving, None, recording.commands if design.mechanism.kind != "free" else None, recording.sensors, None,
+                          state.moving, None, recording.commands if design.mechanism.kind != "free" else None, sensors, None,
                           known=known)
     return replace(knowledge, seen=_seen(measured, knowledge)), source, measured
 
