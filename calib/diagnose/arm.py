@@ -91,7 +91,7 @@ def diagnose(recording, only=None, without=(), progress=None):
     """
     sampled = sample_recording(recording, progress=progress)
     s, design = sampled.samples, recording.design
-    sensors = smoothed(recording.sensors)
+    sensors, _ = smoothed(recording.sensors)
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
     arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
     return diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)

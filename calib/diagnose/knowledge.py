@@ -1,6 +1,6 @@
 """What is taken as known while the rest is questioned: cameras, geometry, poses and the effects admitted so far."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -46,6 +46,7 @@ class Knowledge:
     finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
+    log_errors : {channel: (n, q)} of the sensors' temperatures, see weather.smoothed
     """
 
     design: Design
@@ -62,6 +63,7 @@ class Knowledge:
     finder: tuple[float, ...] = ()
     standing: float = 0.0
     known: tuple | None = None
+    log_errors: dict = field(default_factory=dict)
 
     @property
     def state(self):
@@ -132,7 +134,7 @@ def of_recording(recording, progress=None, calibration=None, places="auto"):
     places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
     Raises NotEnoughData where nothing was measured, and what measuring raises
     """
-    design, sensors = recording.design, smoothed(recording.sensors)
+    design, (sensors, log_errors) = recording.design, smoothed(recording.sensors)
     if design.mechanism.kind not in ("hexapod", "free"):
         raise RigError(f"{recording.folder}: diagnosing takes a hexapod or a free body, not a mechanism of kind {design.mechanism.kind!r}; "
                        "rig calibrate says what its geometry leaves")
@@ -150,14 +152,14 @@ def of_recording(recording, progress=None, calibration=None, places="auto"):
         if measured is None:
             s = sampled.samples
             return Knowledge(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, sensors, None,
-                             known=known), source, None
+                             known=known, log_errors=log_errors), source, None
     if len(measured.frames) < 12:
         raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes 12, better 100")
     frames, times = recording.exposures.times()
     state = measured.adjustment.state
     knowledge = Knowledge(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
                           state.moving, None, recording.commands if design.mechanism.kind != "free" else None, sensors, None,
-                          known=known)
+                          known=known, log_errors=log_errors)
     return replace(knowledge, seen=_seen(measured, knowledge)), source, measured
 
 

@@ -1,7 +1,7 @@
 """A recording -> its Diagnosis, and that as diagnosis.json."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,8 +12,8 @@ from calib.diagnose.hypotheses import Signatures, families
 from calib.diagnose.knowledge import within_reach
 from calib.diagnose.prove import Proof, corner_noise, overall, prove
 from calib.diagnose.select import Selection, select, supported
+from calib.diagnose.temperatures import unlogged, widened
 from calib.diagnose.unknown import unknowns
-from calib.diagnose.unlogged import unlogged
 from rig.effects import BY_NAME
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.parse import to_dict as effect_dict
@@ -70,6 +70,7 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
         selection = supported(selection, signatures, left)
         left = unknowns(_bare(selection.settled))
     selection = unlogged(selection, signatures)
+    selection = replace(selection, settled=widened(selection.settled))
     plane = "struts" if knowledge.axes else "view"
     proofs = [prove(selection.settled, {f.number}, f.score.family.plane if knowledge.axes else "view") for f in selection.findings]
     if selection.findings and knowledge.axes:

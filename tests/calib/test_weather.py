@@ -1,20 +1,29 @@
 """Temperatures whose logs hold noise: smooth ones come back, others stay as they were logged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.diagnose import result
+from calib.diagnose.hypotheses import Signatures
+from calib.diagnose.knowledge import of_recording
+from calib.diagnose.settle import settle
+from calib.diagnose.temperatures import widened
 from calib.diagnose.weather import smoothed
+from rig.effects.parse import parse
 from rig.recording import Sensors
 from synthetic.world import weather
 from tests.calib.recorded import recorded
+
+FAR = 8.0
 
 
 def test_a_smooth_temperature_loses_most_of_its_noise():
     errors = []
     for seed in range(20):
         true, log = weather(2400, np.random.default_rng(seed))
-        kept = smoothed(log)
+        kept, _ = smoothed(log)
         errors += [[np.std(s.channels[name] - true.channels[name]) for s in (log, kept)] for name in true.channels]
     before, after = np.sqrt(np.mean(np.square(errors), axis=0))
     assert after < 0.45 * before and before == pytest.approx(0.03, rel=0.05)
@@ -25,16 +34,35 @@ def test_what_is_not_smooth_stays(name):
     t = np.arange(100) * 30.0
     step = np.where(t > 1400, 3.0, 0.0) + 0.01 * np.random.default_rng(0).normal(size=100)  # a door opens, a load is put on
     for values in (step, np.round(np.linspace(0, 0.3, 100), 1), np.full(100, 20.0)):
-        np.testing.assert_array_equal(smoothed(Sensors(t, {name: values})).channels[name], values)
+        np.testing.assert_array_equal(smoothed(Sensors(t, {name: values}))[0].channels[name], values)
 
 
 def test_few_rows_and_no_log_stay():
-    assert smoothed(None) is None
+    assert smoothed(None) == (None, {})
     few = Sensors(np.arange(5) * 30.0, {"ambient_temperature_C": np.array([20, 20.1, 20.05, 20.2, 20.1])})
-    np.testing.assert_array_equal(smoothed(few).channels["ambient_temperature_C"], few.channels["ambient_temperature_C"])
+    np.testing.assert_array_equal(smoothed(few)[0].channels["ambient_temperature_C"], few.channels["ambient_temperature_C"])
 
 
 def test_noise_of_a_thermometer_does_not_hide_a_strong_effect(tmp_path, design):
     rec = recorded(tmp_path, design, ["focal_drift:camera cam1:per_kelvin=4e-4"], route="sobol:100,ladder:2,sobol:100")
     found = result.diagnose(rec, only=["focal_drift", "camera_drift"])
     assert [(e.name, e.place) for e in found.effects] == [("focal_drift", "camera cam1")] and not found.unknown
+
+
+def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
+    rec = recorded(tmp_path, design, ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
+                   route="sobol:60,ladder:2,sobol:60")
+    k = of_recording(rec)[0].with_effects([parse("thermal_expansion:strut2:coefficient=6e-5"), parse("focal_drift:camera cam1:per_kelvin=2e-4")])
+    signatures = Signatures(k)
+    settled = settle(k, signatures)
+    more = np.diag(widened(settled).covariance - settled.covariance)
+    seen = np.zeros(2)
+    for channel in ("strut2_temperature_C", "ambient_temperature_C"):
+        for error in k.log_errors[channel].T:
+            ends = []
+            for size in (-FAR, FAR):  # a fit stops within a part of a standard deviation
+                course = {**k.sensors.channels, channel: k.sensors.channels[channel] + size * error}
+                ends.append(settle(replace(settled.knowledge, sensors=replace(k.sensors, channels=course)), signatures).values)
+            seen += ((ends[1] - ends[0]) / (2 * FAR)) ** 2
+    np.testing.assert_allclose(more, seen, rtol=0.15)
+    assert (more > 0.01 * np.diag(settled.covariance)).all()

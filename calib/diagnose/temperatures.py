@@ -1,4 +1,5 @@
-"""Effects that follow a temperature which nobody logged: rivals of whatever a smooth course of it would explain as well."""
+"""Effects that follow a temperature: how much less sure a thermometer's noise makes them, and where none was logged, whatever a smooth course of it
+would explain as well has them for rivals."""
 
 from dataclasses import replace
 
@@ -45,6 +46,33 @@ def unlogged(selection, signatures):
             rivals.append(Rival(score, behind, float(np.sqrt(np.clip(drop / own, 0, 1)))))
         findings.append(replace(f, rivals=rivals))
     return replace(selection, findings=findings)
+
+
+def widened(settled):
+    """Settled whose covariance holds what the temperatures' own errors add, see `weather.smoothed`."""
+    k, parts = settled.knowledge, []
+    channels = {next(name for name in names if name in k.sensors.channels)
+                for e in k.effects if type(e) in WARM for names in _followed(k, type(e), e.place)}
+    for channel in sorted(channels & k.log_errors.keys()):
+        for error in k.log_errors[channel].T:
+            course = {**k.sensors.channels, channel: k.sensors.channels[channel] + error}
+            off = replace(k, sensors=replace(k.sensors, channels=course))
+            image = settled.planes.fold((off.pixels() - k.pixels())[..., None]) if k.seen is not None else None
+            struts = Column(None, settled.planes.whitened((off.effective() - k.effective())[..., None])) if k.axes else None
+            parts.append(_both(image, struts))
+    if not parts:
+        return settled
+    planes, own = settled.planes, len(settled.coordinates)
+    both = joined([settled.column, *parts], len(planes.image), planes.local.shape[1], planes.frames)
+    moved = settled.covariance @ planes.project(both)[2][:own, own:]
+    return replace(settled, covariance=settled.covariance + moved @ moved.T)
+
+
+def _both(a, b):
+    """Column of what two Columns do together, either of them None."""
+    if a is None or b is None:
+        return a or b
+    return Column(a.image, a.struts + b.struts, a.inner)
 
 
 def _places(kind, place):
