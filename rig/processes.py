@@ -1,7 +1,6 @@
-"""Many things done by several processes."""
+"""Many things done at the same time."""
 
 import os
-from concurrent.futures import as_completed
 
 
 def cores():
@@ -12,17 +11,17 @@ def cores():
 
 
 def gathered(pool, function, things, progress=None):
-    """[function(thing)] by an executor, in the things' order; what one raises is raised, and the rest is not begun.
+    """[function(thing)] by an executor, in the things' order; of what they raise the first in that order is raised, and the rest is not begun.
 
     progress : called with (done, of), or None
     """
-    futures = [pool.submit(function, thing) for thing in things]
+    futures, out = [pool.submit(function, thing) for thing in things], []
     try:
-        for done, future in enumerate(as_completed(futures), 1):
-            future.result()
+        for future in futures:
+            out.append(future.result())
             if progress:
-                progress(done, len(futures))
+                progress(len(out), len(futures))
     finally:
         for future in futures:
             future.cancel()
-    return [future.result() for future in futures]
+    return out

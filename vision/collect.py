@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from rig.errors import FileError
-from rig.processes import cores
+from rig.processes import cores, gathered
 from rig.recording import Corners
 from vision import expect
 from vision.detect import detect, grey, place, search
@@ -195,17 +195,7 @@ def _in_parallel(one, work, progress):
     cv2.setNumThreads(1)  # images are the parallel unit
     try:
         with ThreadPoolExecutor(cores()) as pool:
-            results = []
-            futures = [pool.submit(one, item) for item in work]
-            try:
-                for future in futures:
-                    results.append(future.result())
-                    if progress:
-                        progress(len(results), len(work))
-            finally:
-                for future in futures:
-                    future.cancel()
-            return results
+            return gathered(pool, one, work, progress)
     finally:
         cv2.setNumThreads(threads)
 

@@ -29,12 +29,12 @@ def each(function, things, progress=None):
             if progress:
                 progress(len(out), len(things))
         return out
-    _inherited, before = (function, things), _inherited
+    _inherited = function, things
     try:
         with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), _start) as pool:
             return gathered(pool, _call, range(len(things)), progress)
     finally:
-        _inherited = before
+        _inherited = None
 
 
 def _start():

@@ -51,7 +51,6 @@ class Score:
         """The same with the dispersion not allowed for, to rank by: what is not modelled yet disperses all, the right answer most."""
         return self.drop * self.dispersion - self.freedom * np.log(size)
 
-
     def occam(self, size):
         """What its parameters cost it against other hypotheses, as minus twice a logarithm, for residuals of a size.
 

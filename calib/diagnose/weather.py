@@ -1,5 +1,5 @@
 """Temperatures as they were, from a log that holds a thermometer's noise as well: noise in what an effect follows makes the effect look smaller,
-and leaves behind what no model explains."""
+and leaves behind what no model explains (Fuller, Measurement error models, 1987, ch. 1)."""
 
 from dataclasses import replace
 
@@ -16,7 +16,8 @@ def smoothed(sensors):
     """(Sensors, {channel: (n, q) K}): each temperature's cubic spline, of as many stretches as Schwarz's criterion grants, in place of its log, and
     the spline's own errors as q directions of one standard deviation each.
 
-    A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or None
+    A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or None, for which (None, {})
+    is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464
     """
     if sensors is None:
         return None, {}
@@ -37,7 +38,7 @@ def _smooth(t, values):
         basis = BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray()
         Q = np.linalg.qr(basis)[0]
         noise = values - Q @ (Q.T @ values)
-        criterion = len(t) * np.log(np.mean(noise**2) + 1e-300) + (count + 3) * np.log(len(t))
+        criterion = len(t) * np.log(np.mean(noise**2) + 1e-300) + Q.shape[1] * np.log(len(t))
         if best is None or criterion < best[0]:
             best = criterion, count, noise, Q
     _, count, noise, Q = best
