@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.controller import Controller
+
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
@@ -246,7 +248,7 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
     """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
-    insitu : MeasuringLimbs or None."""
+    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven."""
 
     name: str
     gravity: np.ndarray
@@ -258,6 +260,7 @@ class Design:
     targets: tuple[Target, ...]
     sensor: Sensor = Sensor()
     insitu: MeasuringLimbs | None = None
+    controller: Controller | None = None
 
     def camera(self, name):
         """The camera of that name. Raises ValueError with the names there are."""

@@ -2,10 +2,12 @@
 
 import re
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
+from rig.controller import PROTOCOLS, Controller
 from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
                         MeasuringLimbs, Planar2, Platform, Sensor, Target)
 from rig.errors import FileError
@@ -39,15 +41,17 @@ def load(path):
 def _design(root):
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu"))
+                          "insitu", "controller"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
+    mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     return Design(
-        name=root.text("name", default="rig"), gravity=gravity, mechanism=_mechanism(root.table("mechanism")),
+        name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
         instrument=_instrument(root.table("instrument")) if "instrument" in root.tree else None,
-        actuator=_actuator(root.table("actuator", optional=True)), platform=_platform(root.table("platform", optional=True)),
+        actuator=actuator, platform=_platform(root.table("platform", optional=True)),
         cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)),
-        insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None)
+        insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
+        controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None)
 
 
 def _mechanism(table):
@@ -96,6 +100,30 @@ def _actuator(table):
     return Actuator(table.number("screw_lead", None, above=0, most=1, unit="m"),
                     table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
                     table.number("max_speed", None, above=0, most=100, unit="m/s"))
+
+
+def _controller(table, mechanism, actuator):
+    table.refuse_misspelt([field.name for field in fields(Controller)])
+    n = len(mechanism.axes)
+    if mechanism.kind not in ("hexapod", "planar2"):
+        table.fail(f"[controller] drives struts; a mechanism of kind {mechanism.kind!r} has none")
+    axes = table.get("axes", [])
+    if not isinstance(axes, list) or not all(isinstance(name, str) and name.isalnum() for name in axes) or len(set(axes)) not in (0, n):
+        table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
+    homing = table.get("homing", True)
+    if not isinstance(homing, bool):
+        table.fail(f"{table.name('homing')} must be true or false, not {homing!r}", "homing", value=homing)
+    speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
+    step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
+    home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
+    return Controller(
+        table.text("protocol", PROTOCOLS), table.text("port", default=""), table.whole("baudrate", 1, default=115200),
+        table.text("usb", default=""), tuple(axes), homing, table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
+        home, speed, table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
+        table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"), step, table.number("margin", default=0.1, least=0, most=1),
+        table.number("timeout", default=2.0, above=0, most=60, unit="s"), table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
+        table.number("watchdog", default=1.0, above=0, most=60, unit="s"), table.text("kinematics", ("joint", "world"), default="joint"),
+        table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
 
 
 def _platform(table):

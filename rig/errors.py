@@ -46,3 +46,31 @@ class NotEnoughData(RigError):
 
 class MissingLibrary(RigError):
     """A system library that is not installed; says which package brings it."""
+
+
+class MotionError(RigError):
+    """A machine that did not do what it was told, or whose state is not known; its axes have been told to stop."""
+
+
+class LinkLost(MotionError):
+    """The connection to a controller is gone or cannot be made; says which port and why."""
+
+
+class NoAnswer(MotionError):
+    """A controller that does not answer, or not in a way that can be read; says what was asked and what came."""
+
+
+class ControllerFault(MotionError):
+    """A controller that refuses, or an axis in error; says what the controller said."""
+
+
+class Stalled(MotionError):
+    """Axes that stopped before their target; says where they stand and where they should."""
+
+
+class PositionLost(MotionError):
+    """Axes that stand elsewhere than they were left, or a controller that started anew: only homing or the operator settles it."""
+
+
+class Stopped(MotionError):
+    """A motion that was stopped because somebody asked."""

@@ -81,12 +81,25 @@ class TomlTable:
         if value is None:
             return None
         self.numbers(value, (), key, ())
+        self._within(value, (key,), least, most, above, unit)
+        return float(value)
+
+    def each(self, key, count, default=REQUIRED, **limits):
+        """(count,) finite numbers within limits, stated one by one or one for all; None where the default says so."""
+        if not isinstance(self.get(key, default), list):
+            value = self.number(key, default, **limits)
+            return None if value is None else np.full(count, value)
+        values = self.array(key, (count,))
+        for i, value in enumerate(values):
+            self._within(value, (key, i), **limits)
+        return values
+
+    def _within(self, value, keys, least=None, most=None, above=None, unit=""):
         if (least is not None and value < least) or (most is not None and value > most) or (above is not None and value <= above):
             limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
                       f"<= {most}" if most is not None else ""]
-            self.fail(f"{self.name(key)} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value}",
-                      key, value=value)
-        return float(value)
+            label = self.name(keys[0]) + "".join(f"[{i + 1}]" for i in keys[1:])
+            self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {value}", *keys, value=value)
 
     def array(self, key, shape, default=REQUIRED, length_limit=None):
         """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit."""

@@ -1,0 +1,43 @@
+"""What drives the axes of a rig, as its owner states it: the [controller] of a rig.toml, in metres and seconds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Controller:
+    """protocol : one of PROTOCOLS; port : device, or URL that pyserial opens; usb : serial number or hardware id by which to find the port
+    again, or ""; axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
+
+    homing : whether the controller can home; without, the position that it reads at the start is believed
+    zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None where not stated
+    max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows
+    tolerance : m, of a read-back; max_step : m, largest change of one axis in a move, None for any; margin : smallest share that the
+    Jacobian's least singular value may have of its value at home
+    timeout, home_timeout : s, for an answer and for homing; watchdog : s of silence after which a controller that can shall stop
+    kinematics : "joint" (an axis word is an axis) or "world" (the controller has the inverse kinematics and is sent poses)
+    password, enable_password : of linuxcncrsh
+    """
+
+    protocol: str
+    port: str
+    baudrate: int
+    usb: str
+    axes: tuple[str, ...]
+    homing: bool
+    zero: np.ndarray
+    home: np.ndarray | None
+    max_speed: np.ndarray
+    max_acceleration: np.ndarray | None
+    tolerance: float
+    max_step: float | None
+    margin: float
+    timeout: float
+    home_timeout: float
+    watchdog: float
+    kinematics: str
+    password: str
+    enable_password: str

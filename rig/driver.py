@@ -1,0 +1,270 @@
+"""The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by whatever fails."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TextIO
+
+import numpy as np
+
+from rig import mechanisms, path_check, protocols
+from rig.clock import Clock, SystemClock
+from rig.design import Design
+from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Stopped
+from rig.link import Link, Port
+from rig.port import SerialPort, found
+from rig.protocols.base import Segment, State, Verdict
+
+PATIENCE = 30.0  # s of trying to connect anew
+POLL = 0.01  # s between looks at a moving rig
+STILL = 1.0  # s without coming nearer: standing
+NEARER = 1e-7  # m; less is noise of the read-back
+TRIES = 3  # times that a move is sent which the read-back shows was never begun
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Status:
+    """activity : as rig.protocols.base.State; lengths : (n,) m; known : whether the lengths can be believed; fault, said : text."""
+
+    activity: str
+    lengths: np.ndarray
+    known: bool
+    fault: str
+    said: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """A move that is done. lengths : (n,) m, as read back; begun, ended : s on the clock; note : what went wrong on the way, or ""."""
+
+    lengths: np.ndarray
+    begun: float
+    ended: float
+    note: str
+
+
+class Driver:
+    """A rig's struts. `with Driver(design) as driver: driver.home(); driver.move(lengths)`.
+
+    design : with a controller; clock : SystemClock by default; opener : makes the port, by default what [controller] port names
+    trace : takes every byte with its time; say : takes a line of text when something was noticed or recovered
+    """
+
+    def __init__(self, design: Design, clock: Clock | None = None, opener: Callable[[], Port] | None = None,
+                 trace: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
+        if design.controller is None:
+            raise RigError("the rig.toml has no [controller]; nothing can be driven")
+        c = design.controller
+        if opener is None and not (c.port or c.usb):
+            raise RigError("[controller] names no port")
+        self.design, self.controller, self.mechanism = design, c, design.mechanism
+        self.clock = clock or SystemClock()
+        self._protocol = protocols.of(c, len(design.mechanism.axes))
+        self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)
+        self._say = say or (lambda text: None)
+        self._busy = threading.RLock()
+        self._known = False
+        self._left: np.ndarray | None = None  # (n,) m where the struts were left
+
+    def __enter__(self) -> "Driver":
+        self.open()
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+    def open(self) -> Status:
+        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer, ControllerFault."""
+        self.link.connect(0.0)
+        self._say(self.link.run(self._protocol.hello()))
+        state = self._state()
+        self._left = self._lengths(state)
+        self._known = bool(state.homed) or not (self.controller.homing or mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any())
+        return self._status(state)
+
+    def close(self) -> None:
+        """Let go of the port; a rig that moves is stopped first."""
+        self.link.close()
+
+    def status(self) -> Status:
+        """What the controller says now. Raises LinkLost, NoAnswer."""
+        return self._status(self._state())
+
+    def lengths(self) -> np.ndarray:
+        """(n,) m, as read back now."""
+        return self._lengths(self._state())
+
+    def trust(self) -> None:
+        """The operator says that the lengths read back are true: after a start without homing, or after PositionLost."""
+        self._left = path_check.check_lengths(self.lengths(), self.mechanism)
+        self._known = True
+
+    def unlock(self) -> Status:
+        """Clear the controller's alarm, because the operator says so."""
+        self._accepted(self.link.run(self._protocol.unlock()), "unlocking")
+        return self.status()
+
+    def home(self) -> Status:
+        """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at home then."""
+        with self._busy, self._guarded():
+            self._accepted(self.link.run(self._protocol.home(self.controller.home_timeout)), "homing")
+            state = self._state()
+            if state.activity != "idle" or state.fault or state.homed is False:
+                raise ControllerFault(f"not at home: {state.said}" + (f": {state.fault}" if state.fault else ""))
+            lengths, home = self._lengths(state), self.controller.home
+            if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
+                raise PositionLost(f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says {home.round(6).tolist()} m")
+            self._known, self._left = True, lengths
+            return self._status(state)
+
+    def check(self, lengths: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Lengths (n,) m that may be gone to from start (n,) m: ranges, step, workspace, singularities. Raises Unreachable."""
+        lengths = path_check.check_lengths(lengths, self.mechanism)
+        path_check.check_path(start, lengths, self.mechanism, self.controller.margin, self.controller.max_step)
+        return lengths
+
+    def move(self, lengths: np.ndarray, share: float = 1.0) -> Arrival:
+        """Move all struts to lengths (n,) m, together, at a share of their greatest speeds, and wait until the read-back agrees.
+
+        Raises Unreachable before anything moves; PositionLost, ControllerFault, Stalled, LinkLost, NoAnswer, Stopped with the struts
+        stopped. Nothing is clipped.
+        """
+        if not 0 < share <= 1:
+            raise ValueError(f"share must be above 0 and at most 1, got {share}")
+        target = path_check.check_lengths(lengths, self.mechanism)
+        with self._busy, self._guarded():
+            start = self._ready()
+            self.check(target, start)
+            begun = self.clock.now()
+            note = self._go(self._segment(start, target, share), target)
+            self._left = target
+            arrived = self.lengths()
+            return Arrival(arrived, begun, self.clock.now(), note)
+
+    def stop(self) -> Status:
+        """Stop every strut, from any thread; a move under way elsewhere ends with Stopped."""
+        self.link.interrupt()
+        with self._busy:
+            self.link.resume()
+            self._halt()
+            return self.status()
+
+    def _ready(self) -> np.ndarray:
+        """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
+        if not self.link.run(self._protocol.fence()):
+            self._known = False
+            raise PositionLost("the controller has started anew since it was last spoken to; home, or say that its position is to be trusted")
+        state = self._state()
+        if state.activity != "idle" or state.fault:
+            raise ControllerFault(f"not ready to move: {state.fault or state.activity} ({state.said})")
+        if not self._known:
+            raise PositionLost("where the struts stand is not known; home, or say that the position is to be trusted")
+        lengths = self._lengths(state)
+        if np.abs(lengths - self._left).max() > self.controller.tolerance:
+            self._known = False
+            raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m")
+        return lengths
+
+    def _segment(self, start: np.ndarray, target: np.ndarray, share: float) -> Segment:
+        c, way = self.controller, np.abs(target - start)
+        duration = max(float((way / (share * c.max_speed)).max()), 1e-6)
+        speed = way / duration
+        acceleration = None
+        if c.max_acceleration is not None and way.any():
+            acceleration = way * (c.max_acceleration[way > 0] / way[way > 0]).min()
+        pose = mechanisms.of(self.mechanism).forward(target, self.mechanism) if c.kinematics == "world" else None
+        return Segment(start - c.zero, target - c.zero, duration, speed, acceleration, pose)
+
+    def _go(self, segment: Segment, target: np.ndarray) -> str:
+        """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
+        note = ""
+        for _ in range(TRIES):
+            try:
+                verdict = self.link.run(self._protocol.move(segment))
+                begun = self._watch(target, verdict)
+            except LinkLost as error:
+                verdict, note = Verdict(None, str(error)), f"{error}; connected anew"
+                self._again()
+                begun = self._watch(target, verdict)
+            if begun:
+                return note or ("" if verdict.accepted else f"lost reply, found done: {verdict.reason}")
+            self.link.run(self._protocol.fence())
+            note = f"sent again, nothing had moved: {verdict.reason}"
+            self._say(note)
+        raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
+
+    def _watch(self, target: np.ndarray, verdict: Verdict) -> bool:
+        """True when the struts have arrived, False when they never began and no answer came."""
+        closest, since, first = np.inf, self.clock.now(), None
+        while True:
+            state = self._state()
+            lengths = self._lengths(state)
+            off = np.abs(lengths - target).max()
+            first = lengths if first is None else first
+            if state.fault or state.activity in ("alarm", "off", "held", "homing"):
+                raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately()}")
+            if state.activity == "idle" and off <= self.controller.tolerance:
+                return True
+            if state.activity == "idle" and verdict.accepted is False:
+                raise ControllerFault(f"the move was refused: {verdict.reason}")
+            if off < closest - NEARER:
+                closest, since = off, self.clock.now()
+            elif self.clock.now() - since > STILL:
+                if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - first).max() < self.controller.tolerance:
+                    return False
+                raise Stalled(f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they were told to go "
+                              f"({state.said}){self._lately()}")
+            self.clock.sleep(POLL)
+
+    def _again(self) -> None:
+        """Connect anew. Raises LinkLost where it stays lost, PositionLost where the controller has started anew."""
+        self._say("connection lost; connecting anew")
+        self.link.connect(PATIENCE)
+        same = self.link.run(self._protocol.fence())
+        self._say(f"connected anew: {self.link.run(self._protocol.hello())}")
+        if not same:
+            self._known = False
+            raise PositionLost("the controller has started anew; home, or say that its position is to be trusted")
+
+    def _guarded(self) -> "_Guard":
+        return _Guard(self._halt)
+
+    def _halt(self) -> None:
+        """Stop the struts, and keep where they stand."""
+        self.link.run(self._protocol.stop(), stoppable=False)
+        state = self._state(stoppable=False)
+        self._left = self._lengths(state)
+
+    def _accepted(self, verdict: Verdict, what: str) -> None:
+        if not verdict.accepted:
+            raise ControllerFault(f"{what} failed: {verdict.reason}")
+
+    def _state(self, stoppable: bool = True) -> State:
+        return self.link.run(self._protocol.state(), stoppable)
+
+    def _lengths(self, state: State) -> np.ndarray:
+        return state.positions + self.controller.zero
+
+    def _status(self, state: State) -> Status:
+        return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
+
+    def _lately(self) -> str:
+        return "".join(f"; {text}" for _, text in list(self.link.events)[-3:])
+
+
+class _Guard:
+    """Stops the struts when anything is raised, an interrupt from the keyboard too; says in the error where that failed as well."""
+
+    def __init__(self, halt: Callable[[], None]) -> None:
+        self._halt = halt
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind, error, trace) -> None:
+        if error is None:
+            return
+        try:
+            self._halt()
+        except (MotionError, Stopped) as failed:
+            error.add_note(f"and the struts could not be told to stop: {failed}")

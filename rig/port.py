@@ -1,0 +1,63 @@
+"""A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after replugging."""
+
+import io
+import select
+
+import serial
+from serial.tools import list_ports
+
+from rig.clock import Clock
+from rig.errors import LinkLost
+
+PATIENCE = 2.0  # s that a write may take
+MOST = 4096  # bytes of a read
+SLICE = 1e-3  # s between looks at a port that cannot be waited on
+
+
+class SerialPort:
+    """See rig.link.Port. url : what serial_for_url takes; baudrate : for devices; clock : tells until when to wait."""
+
+    def __init__(self, url: str, baudrate: int, clock: Clock) -> None:
+        self._url, self._clock = url, clock
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baudrate, timeout=0, write_timeout=PATIENCE)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise LinkLost(f"cannot open {url}: {error}") from None
+        try:
+            self._waitable: int | None = self._serial.fileno()
+        except (io.UnsupportedOperation, AttributeError):  # rfc2217:// and loop:// have none
+            self._waitable = None
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkLost(f"{self._url}: cannot be written to: {error}") from None
+
+    def read(self, until: float) -> bytes:
+        try:
+            while not (data := self._serial.read(MOST)):
+                left = until - self._clock.now()
+                if left <= 0:
+                    break
+                if self._waitable is None:
+                    self._clock.sleep(min(left, SLICE))
+                else:
+                    select.select([self._waitable], [], [], left)
+            return data
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:  # the last two from a port closed under a read
+            raise LinkLost(f"{self._url}: connection lost: {error}") from None
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+def found(url: str, usb: str) -> str:
+    """The port under which a USB device is plugged in now. url : its port when nothing else is known; usb : its serial number or a part
+    of its hardware id, "" where none is stated. Raises LinkLost where it is not plugged in, or several answer to it."""
+    if not usb:
+        return url
+    ports = [port for port in list_ports.comports() if port.serial_number == usb or usb.lower() in (port.hwid or "").lower()]
+    if len(ports) != 1:
+        raise LinkLost(f"{len(ports)} ports answer to usb = {usb!r}" + "".join(f"; {port.device}" for port in ports))
+    return ports[0].device

@@ -1,0 +1,12 @@
+"""Kinds of controllers, one module each, all offering rig.protocols.base.Protocol."""
+
+from rig.controller import Controller
+from rig.protocols.base import Protocol
+from rig.protocols.grblhal import GrblHAL
+
+
+def of(controller: Controller, count: int) -> Protocol:
+    """The protocol of a controller that drives `count` axes."""
+    if controller.protocol == "grblhal":
+        return GrblHAL(controller.axes or tuple("XYZABC"[:count]))
+    raise ValueError(f"no protocol {controller.protocol!r}")

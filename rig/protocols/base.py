@@ -1,0 +1,107 @@
+"""What every protocol offers: dialogues, which yield the bytes to send and take the lines that answer. Nothing here opens a port."""
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import Protocol as Interface
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.errors import NoAnswer
+
+T = TypeVar("T")
+TRIES = 4  # times that a question is asked which moves nothing
+ACTIVITIES = ("idle", "moving", "homing", "held", "alarm", "off")
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """data : bytes to send; complete : whether the lines so far are a whole answer; timeout : s, None for the link's own."""
+
+    data: bytes
+    complete: Callable[[Sequence[str]], bool]
+    timeout: float | None = None
+
+
+Lines = tuple[str, ...] | None  # what an exchange came to; None when its time ran out
+Dialogue = Generator[Exchange, Lines, T]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the controller said to a command: accepted True or False, with its reason, or None where no answer came."""
+
+    accepted: bool | None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """activity : one of ACTIVITIES; positions : (n,) m as the controller counts; homed : all axes, None where it does not say
+    fault : why it cannot be moved, or ""; said : its own words."""
+
+    activity: str
+    positions: np.ndarray
+    homed: bool | None
+    fault: str
+    said: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """One straight move of all axes, which start and arrive together.
+
+    start, target : (n,) m as the controller counts; duration : s at the speeds asked for, without the ramps
+    speed : (n,) m/s; acceleration : (n,) m/s^2 in proportion, or None; pose : T_base_platform there, for controllers that take poses
+    """
+
+    start: np.ndarray
+    target: np.ndarray
+    duration: float
+    speed: np.ndarray
+    acceleration: np.ndarray | None
+    pose: RigidTransform | None = None
+
+
+class Protocol(Interface):
+    """Commands of one kind of controller as dialogues; it knows what the controller has told of itself, and no port.
+
+    name : as rig.toml has it; urgent_stop : bytes that slow every axis down at once, sent past any request in flight
+    """
+
+    name: str
+    urgent_stop: bytes
+
+    def hello(self) -> Dialogue[str]:
+        """Its name and version; learns its units and sizes and readies it. Raises NoAnswer, ControllerFault."""
+
+    def fence(self) -> Dialogue[bool]:
+        """Have all that was sent before dealt with; False where the controller has started anew since `hello`. Raises NoAnswer."""
+
+    def state(self) -> Dialogue[State]:
+        """What it does, and where its axes stand. Raises NoAnswer."""
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        """Begin a move; it is sent once."""
+
+    def home(self, timeout: float) -> Dialogue[Verdict]:
+        """Home all axes, to the end; timeout : s. It is sent once."""
+
+    def stop(self) -> Dialogue[Verdict]:
+        """Slow every axis down, drop what is queued, and keep the position where the controller can."""
+
+    def unlock(self) -> Dialogue[Verdict]:
+        """Clear an alarm without homing."""
+
+    def event(self, line: str) -> str:
+        """What a line says that nobody asked for: "restarted", an alarm or an error in words, or "" for nothing."""
+
+
+def ask(data: bytes, complete: Callable[[Sequence[str]], bool], timeout: float | None = None, tries: int = TRIES) -> Dialogue[tuple[str, ...]]:
+    """The lines that answer a question which moves nothing, asked again where no answer comes. Raises NoAnswer with the question."""
+    for _ in range(tries):
+        lines = yield Exchange(data, complete, timeout)
+        if lines is not None:
+            return lines
+    raise NoAnswer(f"no answer to {data!r}, asked {tries} times")

@@ -1,0 +1,180 @@
+"""grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and 0x18.
+
+Moves are in machine coordinates (G53), so that no work offset matters. After `hello` the feed word is never 0; a controller that says
+F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c and system.c.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from rig.errors import ControllerFault, NoAnswer
+from rig.protocols.base import Dialogue, Exchange, Segment, State, Verdict, ask
+
+MM = 1e3
+INCH = 25.4  # mm
+LINE = 78  # characters that every Grbl takes in a line
+BUFFER = 64  # bytes of the receive buffer, where the controller does not say
+HOLD = 10.0  # s that a feed hold may take
+READY = "G21G90G94F100"
+_STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
+_NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
+_END = re.compile(r"ok|error:\d+")
+_ALARM = re.compile(r"ALARM:(\d+)")
+_BANNER = re.compile(r"Grbl(HAL)? \d+\.\d+", re.IGNORECASE)
+_ACTIVITY = {"Idle": "idle", "Run": "moving", "Jog": "moving", "Home": "homing", "Hold": "held", "Tool": "held", "Door": "held",
+             "Alarm": "alarm", "Check": "off", "Sleep": "off"}
+_PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
+ERRORS = {5: "homing is not enabled ($22)", 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 15: "beyond the soft limits",
+          11: "line too long", 14: "line too long", 18: "no homing cycles are set", 79: "not while an alarm is critical"}
+ALARMS = {1: "a limit switch was hit, position lost", 2: "beyond the soft limits", 3: "reset while moving, position lost", 6: "homing was reset",
+          7: "door opened while homing", 8: "homing could not leave the switch", 9: "homing found no switch", 10: "emergency stop",
+          11: "homing is required", 17: "a motor driver is in fault"}
+
+
+class GrblHAL:
+    """See rig.protocols.base.Protocol. axes : letters of the axes, in the struts' order."""
+
+    name = "grblhal"
+    urgent_stop = b"!"
+
+    def __init__(self, axes: Sequence[str]) -> None:
+        self.axes = tuple(axes)
+        self._settings: dict[int, float] = {}
+        self._letters = "XYZABCUVW"[: len(self.axes)]
+        self._buffer = BUFFER
+        self._offset: np.ndarray | None = None  # mm, WCO
+
+    def hello(self) -> Dialogue[str]:
+        yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
+        build = yield from _told(b"$I\n")
+        version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
+        for line in build:
+            if match := re.fullmatch(r"\[OPT:[^,\]]*,\d+,(\d+).*\]", line):
+                self._buffer = int(match[1])
+            if match := re.fullmatch(r"\[AXS:(\d+):(\w+)\]", line):
+                self._letters = match[2]
+        missing = [axis for axis in self.axes if axis not in self._letters]
+        if missing:
+            raise ControllerFault(f"the controller has the axes {self._letters}, not {''.join(missing)}")
+        settings = yield from _told(b"$$\n")
+        self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
+        ready = yield from _told(READY.encode() + b"\n", locked=True)
+        return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
+
+    def fence(self) -> Dialogue[bool]:
+        lines = yield from ask(b"$G\n", _after("[GC:"))
+        words = next(line for line in lines if line.startswith("[GC:"))[4:].rstrip("]").split()
+        return {"G21", "G90", "G94"} <= set(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
+
+    def state(self) -> Dialogue[State]:
+        for _ in range(40):  # the work offset comes with every 30th report, at the latest
+            lines = yield from ask(b"?", lambda lines: self._read(lines[-1]) is not None)
+            state = self._read(lines[-1])
+            if state.positions is not None:
+                return state
+        raise NoAnswer("status reports give work positions ($10) and never their offset WCO")
+
+    def move(self, segment: Segment) -> Dialogue[Verdict]:
+        feed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
+        feed = f"F{max(feed, 0.1):.1f}"
+        for digits, apart in ((4, False), (4, True), (3, False), (3, True)):
+            words = "".join(f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, MM * segment.target))
+            line = f"G53G1{words}" + ("" if apart else feed)
+            if len(line) < min(LINE, self._buffer - 1):
+                break
+        else:
+            raise ValueError(f"{line!r} does not fit into the controller's receive buffer of {self._buffer} bytes")
+        if apart:
+            verdict = yield from _command(feed)
+            if not verdict.accepted:
+                return verdict
+        return (yield from _command(line))
+
+    def home(self, timeout: float) -> Dialogue[Verdict]:
+        return (yield from _command("$H", timeout))
+
+    def stop(self) -> Dialogue[Verdict]:
+        yield Exchange(b"!", lambda lines: False, 0.0)
+        for _ in range(int(HOLD / 0.05)):
+            lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
+            word = _STATUS.search(lines[-1])[1]
+            if word not in ("Run", "Jog", "Hold:1"):
+                break
+            yield Exchange(b"", lambda lines: False, 0.05)
+        if word != "Idle":
+            yield Exchange(b"\x18", lambda lines: bool(_BANNER.match(lines[-1])))
+            yield from _told(READY.encode() + b"\n", locked=True)
+        return Verdict(True)
+
+    def unlock(self) -> Dialogue[Verdict]:
+        return (yield from _command("$X"))
+
+    def event(self, line: str) -> str:
+        if _BANNER.match(line):
+            return "restarted"
+        if match := _ALARM.search(line):
+            return f"ALARM:{match[1]}" + (f" ({ALARMS[int(match[1])]})" if int(match[1]) in ALARMS else "")
+        if re.fullmatch(r"error:\d+", line):
+            return _reason(line)
+        return ""
+
+    def _read(self, line: str) -> State | None:
+        """State of a status report, positions None while the work offset is not known; None for what is no report."""
+        match = _STATUS.search(line)
+        if match is None or match[1].split(":")[0] not in _ACTIVITY:
+            return None
+        fields = dict(field.partition(":")[::2] for field in match[2].split("|")[1:])
+        if "WCO" in fields:
+            self._offset = self._numbers(fields["WCO"])
+        machine, work = self._numbers(fields.get("MPos", "")), self._numbers(fields.get("WPos", ""))
+        if machine is None and work is None:
+            return None
+        if machine is None and self._offset is not None:
+            machine = work + self._offset
+        word, _, number = match[1].partition(":")
+        fault = "; ".join(text for pin, text in _PINS.items() if pin in fields.get("Pn", ""))
+        if word == "Alarm":
+            fault = f"alarm {number} ({ALARMS.get(int(number or 0), 'see its manual')})" if number else fault or "alarm"
+        elif word in ("Door", "Tool", "Check", "Sleep"):
+            fault = f"it is in the state {match[1]}"
+        homed = fields["H"].startswith("1") if "H" in fields else None
+        chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
+        return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, homed, fault, match[0])
+
+    def _numbers(self, text: str) -> np.ndarray | None:
+        """(axes,) mm, or None where they are not as many as the controller has axes."""
+        if not re.fullmatch(_NUMBERS, text) or text.count(",") != len(self._letters) - 1:
+            return None
+        values = np.array([float(word) for word in text.split(",")])
+        if self._settings.get(13):  # reports in inches, but for rotary axes
+            rotary = int(self._settings.get(376, 0)) << 3
+            values *= [1.0 if rotary >> i & 1 else INCH for i in range(len(values))]
+        return values
+
+
+def _told(data: bytes, locked: bool = False) -> Dialogue[tuple[str, ...]]:
+    """The lines of an answer that ends with ok. Raises ControllerFault for an error; locked : error:9 will do."""
+    lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1]) is not None)
+    if lines[-1] != "ok" and not (locked and lines[-1] == "error:9"):
+        raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(lines[-1])}")
+    return lines
+
+
+def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
+    lines = yield Exchange(line.encode() + b"\n", lambda lines: bool(_END.fullmatch(lines[-1]) or _ALARM.search(lines[-1])), timeout)
+    if lines is None:
+        return Verdict(None, f"no answer to {line}")
+    return Verdict(lines[-1] == "ok", "" if lines[-1] == "ok" else _reason(lines[-1]))
+
+
+def _reason(line: str) -> str:
+    kind, _, number = line.rpartition(":")
+    known = (ALARMS if "ALARM" in kind else ERRORS).get(int(number) if number.isdigit() else -1)
+    return f"{line} ({known})" if known else line
+
+
+def _after(start: str):
+    """Whether lines end with ok, after one that begins so: an ok before it is older."""
+    return lambda lines: lines[-1] == "ok" and any(line.startswith(start) for line in lines)
