@@ -13,7 +13,7 @@ from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.processes import cores, gathered
 from synthetic import scene
-from synthetic.render import Renderer, opengl
+from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
 from vision.predict import State, facing, see
 from vision.targets import marker_map
@@ -101,7 +101,7 @@ def _draw(item):
     images, camera, seed = _state["images"], _state["design"].cameras[i], _state["seed"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
     radiance = sum(_picture(camera, i, f, shift, T[f]) for shift, T in _state["exposures"]) / np.float32(len(_state["exposures"]))
-    image = expose(radiance, images.sensor, rng)
+    image = expose(radiance, images.sensor, rng, SAMPLES)
     path = _state["out"] / "images" / camera.name / f"{f:05d}.png"
     cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])
 
@@ -126,10 +126,10 @@ def _picture(camera, i, f, shift, T):
         return _view(camera, t, T)
     moments = t + np.linspace(first, last, steps)
     pictures = np.stack([_view(camera, moment, pose) for moment, pose in zip(moments, s.at_times(moments))])
-    place = np.arange(camera.height) / max(camera.height - 1, 1) * (steps - 1)
+    rows = np.arange(camera.height * SAMPLES)
+    place = (rows // SAMPLES) / max(camera.height - 1, 1) * (steps - 1)
     low = np.minimum(place.astype(int), steps - 2)
     share = (place - low).astype(np.float32)[:, None]
-    rows = np.arange(camera.height)
     return (1 - share) * pictures[low, rows] + share * pictures[low + 1, rows]
 
 

@@ -1,9 +1,11 @@
 """Scene -> ideal image (pyrender, off screen through EGL): the only file that knows OpenGL's axes and pixel centres.
 
-The image is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it
-bilinearly at several points of each pixel and taking their mean. Both steps are symmetric about the sample, so corners stay
-where the lens model puts them. (cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole
-number for OpenCV and half a pixel further for OpenGL.
+The scene is drawn as an oversized pinhole picture, finer than the camera's, and bent through the lens by sampling it bilinearly at
+SAMPLES x SAMPLES places of each pixel; the sensor blurs that finer picture before it takes the pixels' means, as optics do. Markers are
+white paper to OpenGL: it tells which paper is seen where, with white and with black light, and the ink is laid exactly between the two
+(synthetic/ink.py), because a texture's filters move edges by some thousandths of a pixel, the same in every picture of one pose.
+(cv2.remap would round the places to 1/32 px, which shows.) A pixel centre is at a whole number for OpenCV and half a pixel further for
+OpenGL.
 """
 
 import os
@@ -17,13 +19,16 @@ from scipy.interpolate import RectBivariateSpline
 
 from rig.errors import MissingLibrary
 from rig.pose import exp
-from synthetic.scene import body_poses, shade
+from synthetic.ink import bilinear, lay
+from synthetic.scene import BLACK, WHITE, body_poses, shade
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
 SAMPLES = 2  # per pixel along either axis, before the pixel's mean
 GRID = 16  # px between the points where the lens is undone exactly
-ANISOTROPY = 16  # texture samples along a foreshortened face
+PAD = 3  # elements of the finer picture about a marker
+OUTLINE = np.linspace(0, 1, 9)[:-1]  # along each side of a marker, where its outline is looked at
+NUMBERS = 255  # parts with ink that a picture tells apart; two that share a number must not lie side by side
 NEAR, FAR = 0.02, 50.0  # m
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
@@ -47,10 +52,11 @@ def opengl():
 class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
-    def __init__(self, parts, design, finer=FINER, samples=SAMPLES):
+    def __init__(self, parts, design):
         self.pyrender = opengl()
-        self.parts, self.mechanism, self.finer, self.samples = parts, design.mechanism, finer, samples
-        self.cameras = {camera.name: _Pinhole(camera, finer, samples) for camera in design.cameras}
+        self.parts, self.mechanism = parts, design.mechanism
+        self.numbers = {id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)}
+        self.cameras = {camera.name: _Pinhole(camera) for camera in design.cameras}
         self.scene = self.pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])
         self.nodes = [self.scene.add(self._mesh(part)) for part in parts]
         self.eye = None
@@ -59,14 +65,14 @@ class Renderer:
             self.renderer = self.pyrender.OffscreenRenderer(int(width), int(height))
         except Exception as error:  # pyrender passes on whatever EGL raises
             raise MissingLibrary(f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}") from None
-        self._grey_only()
+        self._without_multisampling()
 
     def close(self):
         """Give the OpenGL context back."""
         self.renderer.delete()
 
     def draw(self, camera_name, T_base_platform, mount=None, focal=1.0):
-        """(height, width) float32 radiance 0..1 seen by a camera at a pose of the platform.
+        """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to the pixel each way.
 
         mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its focal length
         """
@@ -75,26 +81,48 @@ class Renderer:
         for part, node in zip(self.parts, self.nodes):
             matrix = poses[part.body]
             self.scene.set_pose(node, matrix)
-            grey = shade(part, matrix)
-            node.mesh.primitives[0].material.baseColorFactor = [grey, grey, grey, 1.0]
+            node.mesh.primitives[0].material.baseColorFactor = self._colour(part, shade(part, matrix))
         if self.eye is not None:
             self.scene.remove_node(self.eye)
-        T = pinhole.camera.pose if mount is None else pinhole.camera.pose * exp(mount)
-        fx, fy, cx, cy = pinhole.intrinsics
+        T = (pinhole.camera.pose if mount is None else pinhole.camera.pose * exp(mount)).as_matrix()
         if focal != 1:
-            pinhole = _Pinhole(_zoomed(pinhole.camera, focal), self.finer, self.samples)
-            fx, fy, cx, cy = pinhole.intrinsics
+            pinhole = _Pinhole(_zoomed(pinhole.camera, focal))
+        fx, fy, cx, cy = pinhole.intrinsics
         view = self.pyrender.IntrinsicsCamera(fx, fy, cx + 0.5, cy + 0.5, znear=NEAR, zfar=FAR)
-        self.eye = self.scene.add(view, pose=T.as_matrix() @ TO_OPENGL)
+        self.eye = self.scene.add(view, pose=T @ TO_OPENGL)
         self.renderer.viewport_width, self.renderer.viewport_height = pinhole.size
         flags = self.pyrender.RenderFlags.FLAT | self.pyrender.RenderFlags.SKIP_CULL_FACES
-        return pinhole.bend(self.renderer.render(self.scene, flags=flags))
+        picture = self.renderer.render(self.scene, flags=flags)
+        out = pinhole.bend(picture)
+        to_camera = np.linalg.inv(T)
+        for part in self.parts:
+            if part.ink is not None:
+                self._lay(part, to_camera @ poses[part.body] @ part.ink.to_body, pinhole, picture, out)
+        out /= np.float32(255)
+        return out
 
-    def _grey_only(self):
-        """Make pyrender draw without multisampling and hand out the red channel alone, which halves the time.
+    def _colour(self, part, grey):
+        """Red: the part's grey; green: the same where paper is black; blue: the number of a part with ink."""
+        if part.ink is None:
+            return [grey, grey, 0.0, 1.0]
+        return [grey, grey * BLACK / WHITE, self.numbers[id(part)] / 255, 1.0]
 
-        Marker edges are edges of textures, smoothed by their mipmaps; multisampling does nothing for them.
-        """
+    def _lay(self, part, from_cells, pinhole, picture, out):
+        """Lay a part's ink. from_cells : (4, 3) cells (X, Y, 1) to the camera's frame"""
+        G, n = from_cells[:3], len(part.ink.cells)
+        if not G[:, 2] @ np.cross(G[:, 0], G[:, 1]) > 0:
+            return  # seen from behind
+        around = np.concatenate([n * np.stack([OUTLINE, 0 * OUTLINE]), n * np.stack([1 + 0 * OUTLINE, OUTLINE]),
+                                 n * np.stack([1 - OUTLINE, 1 + 0 * OUTLINE]), n * np.stack([0 * OUTLINE, 1 - OUTLINE])], axis=1)
+        outline = G @ np.concatenate([around, np.ones((1, around.shape[1]))])
+        if outline[2].min() <= NEAR:
+            return
+        box = pinhole.box(outline.T)
+        if box is not None:
+            lay(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), part.ink.cells, self.numbers[id(part)], out)
+
+    def _without_multisampling(self):
+        """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it is."""
         from OpenGL import GL
 
         inner = self.renderer._renderer
@@ -108,7 +136,7 @@ class Renderer:
             width, height = inner._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
-            return np.frombuffer(GL.glReadPixels(0, 0, width, height, GL.GL_RED, GL.GL_UNSIGNED_BYTE), np.uint8).reshape(height, width)
+            return np.frombuffer(GL.glReadPixels(0, 0, width, height, GL.GL_RGB, GL.GL_UNSIGNED_BYTE), np.uint8).reshape(height, width, 3)
 
         inner._configure_main_framebuffer, inner._read_main_framebuffer = single, read
 
@@ -126,19 +154,12 @@ class Renderer:
 
 
 def _texture(pyrender, picture):
-    """A texture that stays sharp along a foreshortened face: trilinear mipmaps with anisotropic samples."""
+    """A texture with trilinear mipmaps."""
     from OpenGL import GL
-
-    class Anisotropic(pyrender.Texture):
-        def _add_to_context(self):
-            super()._add_to_context()
-            GL.glBindTexture(self.tex_type, self._texid)
-            GL.glTexParameterf(self.tex_type, 0x84FE, ANISOTROPY)  # GL_TEXTURE_MAX_ANISOTROPY
-            GL.glBindTexture(self.tex_type, 0)
 
     sampler = pyrender.Sampler(magFilter=GL.GL_LINEAR, minFilter=GL.GL_LINEAR_MIPMAP_LINEAR, wrapS=GL.GL_CLAMP_TO_EDGE,
                                wrapT=GL.GL_CLAMP_TO_EDGE)
-    return Anisotropic(source=picture, source_channels="RGB", sampler=sampler)
+    return pyrender.Texture(source=picture, source_channels="RGB", sampler=sampler)
 
 
 def _zoomed(camera, factor):
@@ -150,43 +171,50 @@ def _zoomed(camera, factor):
 class _Pinhole:
     """The oversized pinhole picture behind a camera's image, and the way from one to the other."""
 
-    def __init__(self, camera, finer, samples):
-        self.camera, self.samples = camera, samples
+    def __init__(self, camera):
+        self.camera = camera
         nodes_u, nodes_v = np.arange(-GRID, camera.width + 2 * GRID, GRID), np.arange(-GRID, camera.height + 2 * GRID, GRID)
         grid = np.stack(np.meshgrid(nodes_u, nodes_v), axis=-1).astype(float)
         ideal = lens.undistort(grid, camera.matrix, camera.distortion)
         if not np.isfinite(ideal).all():
             raise ValueError(f"camera {camera.name!r}: its lens cannot be undone over the whole image")
-        focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]]) * finer
+        focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]]) * FINER
         low, high = (ideal * focal).min(axis=(0, 1)), (ideal * focal).max(axis=(0, 1))
         margin = 4
         self.intrinsics = (*focal, *(margin - low))
         self.size = tuple(int(n) for n in np.ceil(high - low + 2 * margin))
-        fine = (np.arange(camera.width * samples) + 0.5) / samples - 0.5, (np.arange(camera.height * samples) + 0.5) / samples - 0.5
-        x, y = (RectBivariateSpline(nodes_v, nodes_u, ideal[..., k])(fine[1], fine[0]) * focal[k] + margin - low[k] for k in range(2))
+        self.splines = [RectBivariateSpline(nodes_v, nodes_u, ideal[..., k]) for k in range(2)]
+        x, y = (spline(_fine(0, camera.height * SAMPLES), _fine(0, camera.width * SAMPLES)) * focal[k] + margin - low[k]
+                for k, spline in enumerate(self.splines))
         self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)
 
     def bend(self, picture):
-        """(height, width) float32 0..1 image of a pinhole picture (uint8, last row first)."""
-        out = np.empty((self.camera.height, self.camera.width), np.float32)
-        _bend(picture, self.places, self.samples, out)
+        """(SAMPLES height, SAMPLES width) float32 0..255 of the first channel of a pinhole picture (uint8, last row first)."""
+        out = np.empty(self.places.shape[:2], np.float32)
+        _bend(picture, self.places, out)
         return out
 
+    def ideal(self, box):
+        """(2, rows + 2, columns + 2) x / z, y / z of the finer picture's elements of a box x0, y0, x1, y1, one more on every side."""
+        x0, y0, x1, y1 = box
+        return np.stack([spline(_fine(y0 - 1, y1 + 1), _fine(x0 - 1, x1 + 1)) for spline in self.splines])
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _bend(picture, places, samples, out):
-    """Mean over samples x samples bilinear samples of a uint8 picture at places (h s, w s, 2), for each pixel of out (h, w)."""
-    scale = np.float32(1 / (255 * samples * samples))
+    def box(self, points):
+        """x0, y0, x1, y1 of the finer picture's elements about points (n, 3) of the camera's frame, or None where none is in the picture."""
+        uv = (lens.project(points, self.camera.matrix, self.camera.distortion) + 0.5) * SAMPLES
+        low = np.maximum(np.floor(uv.min(axis=0)).astype(int) - PAD, 0)
+        high = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + PAD, np.array([self.camera.width, self.camera.height]) * SAMPLES)
+        return (*low.tolist(), *high.tolist()) if (low < high).all() else None
+
+
+def _fine(first, last):
+    """px, the centres of elements first .. last - 1 of the finer picture along one axis."""
+    return (np.arange(first, last) + 0.5) / SAMPLES - 0.5
+
+
+@njit(cache=True, nogil=True)
+def _bend(picture, places, out):
+    """Bilinear samples of the first channel of a uint8 picture at places (k, l, 2), in out (k, l) float32."""
     for v in range(out.shape[0]):
         for u in range(out.shape[1]):
-            total = np.float32(0)
-            for j in range(samples):
-                for i in range(samples):
-                    x = places[v * samples + j, u * samples + i, 0]
-                    y = places[v * samples + j, u * samples + i, 1]
-                    x0, y0 = int(x), int(y)
-                    fx, fy = x - x0, y - y0
-                    top = picture[y0, x0] + fx * (np.float32(picture[y0, x0 + 1]) - picture[y0, x0])
-                    bottom = picture[y0 + 1, x0] + fx * (np.float32(picture[y0 + 1, x0 + 1]) - picture[y0 + 1, x0])
-                    total += top + fy * (bottom - top)
-            out[v, u] = total * scale
+            out[v, u] = bilinear(picture, places[v, u, 0], places[v, u, 1], 0)

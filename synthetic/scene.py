@@ -1,8 +1,7 @@
 """The rig as meshes (trimesh): plates, struts, cubes and sheets with their markers, and something to stand in front of.
 
-Every part is a flat grey or a textured face; brightness comes from the lamps by Lambert's law, face by face, so that the
-renderer need only multiply. Textures hold a whole number of texels per cell, a power of two, so that every mipmap level keeps
-the cells' edges where they are.
+Every part is a flat grey, a sheet of paper with a marker's ink on it, or a textured face; brightness comes from the lamps by Lambert's
+law, face by face, so that the renderer need only multiply. Ink is no texture: it is laid exactly, see synthetic/ink.py.
 """
 
 from dataclasses import dataclass
@@ -15,11 +14,19 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import FACES
 from vision.targets import face_pose, marker_cells, marker_map
 
-TEXELS = 32  # per cell of a marker
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
 STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius
 SHARE = 0.55  # of a strut's length that is its thick part
 PLATE = 0.012  # m thick
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ink:
+    """A marker printed on a sheet. cells : (n, n) 1 white, 0 black, its border among them
+    to_body : (4, 3), cells (X, Y, 1) to the body's frame (x, y, z, 1), m"""
+
+    cells: np.ndarray
+    to_body: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +35,7 @@ class Part:
 
     body : "base", "platform", "strut 1 lower" .. "strut 6 upper", or "world"; mesh : trimesh in the body's frame, m
     normal : (3,) of a flat part, for its lighting, or None for a round one; centre : (3,) m; albedo : 0..1
-    texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates
+    texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates; ink : Ink, or None
     """
 
     body: str
@@ -38,6 +45,7 @@ class Part:
     albedo: float
     texture: np.ndarray | None = None
     uv: np.ndarray | None = None
+    ink: Ink | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +73,8 @@ def parts(design, background="plain", rng=None, markers=None):
     for target in design.targets:
         found += _blank_faces(target)
     for k in range(len(placed.id)):
-        found += marker_face("platform" if placed.on_platform[k] else "base", placed.dictionary[k], int(placed.id[k]), placed.T_body_marker[k],
-                             placed.side[k], placed.side[k] + 2 * placed.margin[k])
+        found.append(marker_face("platform" if placed.on_platform[k] else "base", placed.dictionary[k], int(placed.id[k]),
+                                 placed.T_body_marker[k], placed.side[k], placed.side[k] + 2 * placed.margin[k]))
     return found + _surroundings(design, background, rng)
 
 
@@ -135,32 +143,17 @@ def _blank_faces(target):
 
 
 def marker_face(body, dictionary, number, T_body_marker, side, size):
-    """Parts of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z out."""
-    cells = marker_cells(dictionary, number)
-    n = len(cells)  # the marker with one ring of white around it
-    texture = np.kron(np.where(cells > 0.5, 1.0, BLACK / WHITE), np.ones((TEXELS, TEXELS)))
-    half = side / (n - 2) * n / 2  # of the textured square
-    reach = min(half, size / 2)
-    span = reach / half / 2
-    uv = np.array([[0.5 - span, 0.5 + span], [0.5 + span, 0.5 + span], [0.5 + span, 0.5 - span], [0.5 - span, 0.5 - span]])
-    found = [_quad(body, T_body_marker, reach, WHITE, texture, uv)]
-    if size / 2 > reach + 1e-9:
-        found += _frame(body, T_body_marker, reach, size / 2)
-    return found
+    """Part of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z out."""
+    cells = marker_cells(dictionary, number)[1:-1, 1:-1]
+    cell = side / len(cells)
+    on_sheet = np.array([[cell, 0, -side / 2], [0, -cell, side / 2], [0, 0, 0], [0, 0, 1]])
+    return _quad(body, T_body_marker, size / 2, WHITE, ink=Ink(np.ascontiguousarray(cells), T_body_marker.as_matrix() @ on_sheet))
 
 
-def _quad(body, T, half, albedo, texture=None, uv=None):
+def _quad(body, T, half, albedo, texture=None, uv=None, ink=None):
     corners = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     mesh = trimesh.Trimesh(T.apply(corners), [[0, 3, 2], [0, 2, 1]], process=False)
-    return Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, albedo, texture, uv)
-
-
-def _frame(body, T, inner, outer):
-    square = np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    vertices = T.apply(np.concatenate([inner * square, outer * square]))
-    faces = [f for i in range(4) for j in [(i + 1) % 4] for f in ([4 + i, i, j], [4 + i, j, 4 + j])]
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return [Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, WHITE)]
+    return Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, albedo, texture, uv, ink)
 
 
 def _surroundings(design, background, rng):

@@ -8,16 +8,19 @@ import numpy as np
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
-def expose(radiance, sensor, rng):
-    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (height, width) float32 0..1.
+def expose(radiance, sensor, rng, samples=1):
+    """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32 0..1.
 
-    sensor : rig.design.Sensor; rng : numpy Generator. The variance of a pixel is read_noise^2 + light / electrons, in grey
+    sensor : rig.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act on the finer picture,
+    before pixels take their means: a blur that steps from pixel to pixel has corners of its own. The variance of a pixel is read_noise^2 + light / electrons, in grey
     levels of 255, before it is rounded (EMVA Standard 1288, the linear camera model).
     """
     if sensor.defocus:
-        radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus), borderType=cv2.BORDER_REPLICATE)
+        radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus * samples), borderType=cv2.BORDER_REPLICATE)
     if sensor.blur:
-        radiance = cv2.GaussianBlur(radiance, (0, 0), sensor.blur)
+        radiance = cv2.GaussianBlur(radiance, (0, 0), sensor.blur * samples)
+    if samples > 1:
+        radiance = cv2.resize(radiance, None, fx=1 / samples, fy=1 / samples, interpolation=cv2.INTER_AREA)
     light = sensor.gain * radiance
     if sensor.vignetting:
         light = light * _falloff(radiance.shape, sensor.vignetting)

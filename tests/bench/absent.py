@@ -47,19 +47,19 @@ def _speed(folder, design):
     subprocess.run([*RIG, "simulate", folder / "rig.toml", "--plan", "sobol:100", *look, "--out", folder / "rec"], check=True, capture_output=True)
     seconds = time.perf_counter() - start
     yield "rig simulate, 300 images of 1280 x 1024, eight cubes, struts, noise, PNG, start included", f"{300 / seconds:.1f} images/s", ">= 8"
-    from synthetic.render import Renderer
+    from synthetic.render import SAMPLES, Renderer
 
     renderer = Renderer(scene.parts(design), design)
     rng, sensor, parts = np.random.default_rng(0), Sensor(blur=0.5, read_noise=1.5), {"draw": [], "lens": [], "sensor": [], "PNG": []}
     pinhole = renderer.cameras["cam0"]
-    picture = np.zeros((pinhole.size[1], pinhole.size[0]), np.uint8)
+    picture = np.zeros((pinhole.size[1], pinhole.size[0], 3), np.uint8)
     for _ in range(8):
         marks = [time.perf_counter()]
         pinhole.bend(picture)
         marks.append(time.perf_counter())
         radiance = renderer.draw("cam0", design.mechanism.home)
         marks.append(time.perf_counter())
-        image = expose(radiance, sensor, rng)
+        image = expose(radiance, sensor, rng, SAMPLES)
         marks.append(time.perf_counter())
         cv2.imwrite(str(folder / "x.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         marks.append(time.perf_counter())

@@ -127,7 +127,7 @@ def _recordings(design):
 def _speed(folder):
     from rig.errors import MissingLibrary
     from synthetic import scene as scenes
-    from synthetic.render import Renderer
+    from synthetic.render import SAMPLES, Renderer
     from synthetic.sensor import expose
 
     detector, rng = _subpix(), np.random.default_rng(0)
@@ -142,7 +142,7 @@ def _speed(folder):
         except MissingLibrary as error:
             yield f"{width} x {height}: speed", "skipped", str(error)
             continue
-        images = [(camera, expose(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng)) for camera in design.cameras]
+        images = [(camera, expose(renderer.draw(camera.name, home), Sensor(blur=0.5, read_noise=1.5), rng, SAMPLES)) for camera in design.cameras]
         renderer.close()
         seconds, seen = [], [0, 0, 0]
         for repeat in range(REPEATS + 1):

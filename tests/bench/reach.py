@@ -86,7 +86,7 @@ def _exact(rng):
 def _rendered(design, rng):
     """The same of the renderer's pictures of a rig."""
     from synthetic import scene
-    from synthetic.render import Renderer
+    from synthetic.render import SAMPLES, Renderer
     from synthetic.sensor import expose
     from vision.predict import expected
     from vision.targets import marker_map
@@ -100,7 +100,7 @@ def _rendered(design, rng):
             scenes.append((renderer.draw(view.name, T), view, markers.id[shown], places))
     renderer.close()
     for kind, sensor in DRAWN.items():
-        out[f"rendered, {kind}"] = [(expose(radiance, sensor, rng), *rest) for radiance, *rest in scenes]
+        out[f"rendered, {kind}"] = [(expose(radiance, sensor, rng, SAMPLES), *rest) for radiance, *rest in scenes]
     return out
 
 

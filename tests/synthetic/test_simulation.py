@@ -12,7 +12,7 @@ from rig.design import Sensor
 from rig.effects.parse import parse
 from rig.errors import FileError, RigError
 from rig.pose import difference
-from synthetic import pictures, scene, simulation, world
+from synthetic import pictures, render, scene, simulation, world
 from synthetic.occlusion import hidden
 from tests.conftest import SHARED
 from vision.collect import collect
@@ -109,7 +109,8 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
         for row in (0, 512, 1023):  # every row is that of a picture taken at its own moment
             late = (row - 512) * 3e-5
             then = s.at_times([s.plan.t[0] + late])[0]
-            np.testing.assert_allclose(rolled[row], pictures._view(rolling, s.plan.t[0] + late, then)[row], atol=0.02)
+            fine = row * render.SAMPLES
+            np.testing.assert_allclose(rolled[fine], pictures._view(rolling, s.plan.t[0] + late, then)[fine], atol=0.02)
         assert np.abs(rolled - pictures._view(rolling, s.plan.t[0], T)).max() > 0.01
     finally:
         pictures._state.pop("renderer").close()
@@ -125,7 +126,7 @@ def test_scene_has_everything(design):
     parts = scene.parts(design)
     bodies = {part.body for part in parts}
     assert {"base", "platform", "world"} <= bodies and sum(body.startswith("strut") for body in bodies) == 12
-    assert sum(part.texture is not None for part in parts) == 40
+    assert sum(part.ink is not None for part in parts) == 40
     with pytest.raises(ValueError, match="background"):
         scene.parts(design, "nice")
 
