@@ -16,8 +16,8 @@ from rig.design import Hexapod
 from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import difference, vector
+from rig.recording import LIMBS as CHANNELS
 
-CHANNELS = tuple(f"m{i + 1}" for i in range(6))
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NEAR = 0.5  # s; readings further apart about an exposure say nothing of it
 FOLDS = 4  # stretches in time, each judged by limbs that were fitted to the others

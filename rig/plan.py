@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from rig import mechanisms, table
+from rig.origin import Origin
 from rig.errors import RigError
 from rig.pose import pose
 from rig.recording import Commands
@@ -30,11 +31,13 @@ STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries."""
+    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries
+    origin : by which its times are written down"""
 
     commands: Commands
     t: np.ndarray
     payload: np.ndarray
+    origin: Origin = Origin()
 
 
 class _Writer:

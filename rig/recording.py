@@ -4,18 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rig import design_file, table
+from rig.origin import Origin, decimal
 from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.images import check_image
-from rig.pose import TRIANGLE, covariance_from_triangle, pose
+from rig.observed import Corners, Poses, load_corners, load_poses
 
-POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
-COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
-CORNER_COLUMNS = ("frame", "camera", "marker", "corner", "u", "v")
-CORNER_COVARIANCE = ("cuu", "cuv", "cvv")
+LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m, read only where there are rows about an exposure
 LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
 SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 
@@ -52,7 +49,8 @@ class Exposures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
-    """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows."""
+    """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows; reading a recording sees to it that
+    the log covers the exposures to within the distance of its rows, over which the nearest row stands."""
 
     t: np.ndarray
     channels: dict[str, np.ndarray]
@@ -66,31 +64,9 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Corners:
-    """Marker corners in images. frame, marker, corner : (n,) int; camera : n names; uv : (n, 2) px;
-    covariance : (n, 2, 2) px^2, or None where the recording states none."""
-
-    frame: np.ndarray
-    camera: list[str]
-    marker: np.ndarray
-    corner: np.ndarray
-    uv: np.ndarray
-    covariance: np.ndarray | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Poses:
-    """Platform in base. frame : (n,) int; T_base_platform : RigidTransform (n,); covariance : (n, 6, 6) m, rad, on the
-    right, order x y z rx ry rz, or None."""
-
-    frame: np.ndarray
-    T_base_platform: RigidTransform
-    covariance: np.ndarray | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A whole recording; parts that the folder lacks are None."""
+    """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
+    or where nothing was commanded its first exposure; origin : of the owner's clock, to write them."""
 
     folder: Path
     design: Design
@@ -99,6 +75,7 @@ class Recording:
     sensors: Sensors | None
     corners: Corners | None
     poses: Poses | None
+    origin: Origin = Origin()
 
     @property
     def has_images(self):
@@ -121,51 +98,63 @@ def load(folder):
     if not any(folder.iterdir()):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load(folder / "rig.toml")
-    exposures = _exposures(folder, design)
-    commands = _commands(folder / "commands.csv", design, exposures)
-    corners = _corners(folder / "corners.csv", design, exposures)
+    commanded = _command_rows(folder / "commands.csv", design)
+    exposed = table.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
+    origin = _origin(exposed if commanded is None else commanded)
+    exposures = _exposures(folder, design, exposed, origin)
+    commands = None if commanded is None else _commands(commanded, design, exposures, origin)
+    corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
     poses = load_poses(folder / "poses.csv", known, alone) if (folder / "poses.csv").exists() else None
-    return Recording(folder, design, commands, exposures, _sensors(folder / "sensors.csv"), corners, poses)
+    sensors = _sensors(folder / "sensors.csv", origin, exposures)
+    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin)
 
 
-def _commands(path, design, exposures):
+def _origin(rows):
+    """The Origin that stands at 0 at the first row of a table with times."""
+    rows.times("t", Origin())  # which checks them
+    return Origin(decimal(rows.text("t")[0]))
+
+
+def _command_rows(path, design):
     if not path.exists():
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'stands beside a mechanism of kind "free", which cannot be commanded')
-    rows = table.read(path, ("t", *design.mechanism.axes))
-    t = _increasing(rows)
+    return table.read(path, ("t", *design.mechanism.axes))
+
+
+def _commands(rows, design, exposures, origin):
+    path, t = rows.path, _increasing(rows, origin)
     for column in rows.columns:
         if column not in ("t", *design.mechanism.axes) and column[:1] == design.mechanism.axes[0][0] and column[1:].isdigit():
             raise FileError(path, f"column {column!r}: rig.toml has only {len(design.mechanism.axes)} axes", 1, rows.columns.index(column) + 1)
     frames, times = exposures.times()
     if times[0] < t[0]:
-        rows.fail(f"frame {frames[0]} was exposed at t = {times[0]:g} s, before the first command (t = {t[0]:g} s)", 0, "t", t[0])
+        rows.fail(f"frame {frames[0]} was exposed at t = {origin.text(times[0])} s, before the first command (t = {origin.text(t[0])} s)", 0, "t")
     after = np.flatnonzero(times > t[-1])
     if len(after) > 1 and len(after) > LAST_DWELL * len(times):
-        rows.fail(f"{len(after)} of {len(times)} frames, from frame {frames[after[0]]} at t = {times[after[0]]:g} s on, were exposed after "
-                  f"the last command (t = {t[-1]:g} s): is the file cut off?", len(rows) - 1, "t", t[-1])
+        rows.fail(f"{len(after)} of {len(times)} frames, from frame {frames[after[0]]} at t = {origin.text(times[after[0]])} s on, were exposed "
+                  f"after the last command (t = {origin.text(t[-1])} s): is the file cut off?", len(rows) - 1, "t")
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
-def _increasing(rows):
-    t = rows.numbers("t")
+def _increasing(rows, origin):
+    t, shown = rows.times("t", origin), rows.text("t")
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):
         i = back[0] + 1
-        rows.fail(f"time must increase: t = {t[i]:g} s follows {t[i - 1]:g} s", i, "t", t[i])
+        rows.fail(f"time must increase: t = {shown[i]} s follows {shown[i - 1]} s", i, "t", shown[i])
     return t
 
 
-def _exposures(folder, design):
-    path = folder / "frames.csv"
-    rows = table.read(path, ("frame", "t", "camera", "image"))
-    frame, t, camera, image = rows.whole("frame"), rows.numbers("t"), rows.text("camera"), rows.text("image")
+def _exposures(folder, design, rows, origin):
+    path, shown = rows.path, rows.text("t")
+    frame, t, camera, image = rows.whole("frame"), rows.times("t", origin), rows.text("camera"), rows.text("image")
     cameras = {c.name: c for c in design.cameras}
     seen, start = {}, {}
-    last = (-1, -np.inf)
+    last = (-1, -np.inf, "")
     for i in range(len(rows)):
         if camera[i] and camera[i] not in cameras:
             rows.fail(f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}", i, "camera", camera[i])
@@ -176,14 +165,14 @@ def _exposures(folder, design):
         seen[frame[i], camera[i]] = rows.lines[i]
         if frame[i] in start:
             if abs(t[i] - start[frame[i]]) > SIMULTANEOUS:
-                rows.fail(f"frame {frame[i]} at t = {t[i]:g} s, but its first exposure was at {start[frame[i]]:g} s: "
-                          "exposures of one frame are simultaneous", i, "t", t[i])
+                rows.fail(f"frame {frame[i]} at t = {shown[i]} s, but its first exposure was at {origin.text(start[frame[i]])} s: "
+                          "exposures of one frame are simultaneous", i, "t", shown[i])
             continue
         if frame[i] < last[0]:
             rows.fail(f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i])
         if t[i] < last[1]:
-            rows.fail(f"time runs backwards: t = {t[i]:g} s follows {last[1]:g} s", i, "t", t[i])
-        start[frame[i]], last = t[i], (frame[i], t[i])
+            rows.fail(f"time runs backwards: t = {shown[i]} s follows {last[2]} s", i, "t", shown[i])
+        start[frame[i]], last = t[i], (frame[i], t[i], shown[i])
     for i, name in enumerate(image):
         if name:
             problem = check_image(folder / name, cameras[camera[i]])
@@ -192,90 +181,25 @@ def _exposures(folder, design):
     return Exposures(frame, t, camera, image)
 
 
-def _sensors(path):
+def _sensors(path, origin, exposures):
     if not path.exists():
         return None
     rows = table.read(path, ("t",))
-    return Sensors(_increasing(rows), {name: rows.numbers(name) for name in rows.columns if name != "t"})
+    t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
+    if set(channels) - set(LIMBS):
+        _covers(rows, t, exposures, origin)
+    return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 
-def _corners(path, design, exposures):
-    if not path.exists():
-        return None
-    rows = table.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
-    frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")
-    uv = rows.matrix(("u", "v"))
-    cameras = {c.name for c in design.cameras}
-    markers = {number for target in design.targets for number in target.ids}
-    exposed = set(zip(exposures.frame.tolist(), exposures.camera))
-    seen = {}
-    for i, key in enumerate(zip(frame.tolist(), camera, marker.tolist(), corner.tolist())):
-        if key[1] not in cameras:
-            rows.fail(f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1])
-        if key[2] not in markers:
-            rows.fail(f"unknown marker {key[2]}: no target of rig.toml has it", i, "marker", key[2])
-        if key[3] > 3:
-            rows.fail(f"a marker has corners 0..3, not {key[3]}", i, "corner", key[3])
-        if key[:2] not in exposed:
-            rows.fail(f"frame {key[0]} of camera {key[1]!r} is not in frames.csv", i, "frame", key[0])
-        if key in seen:
-            rows.fail(f"corner {key[3]} of marker {key[2]} is listed twice in frame {key[0]}, camera {key[1]!r}, first in line "
-                      f"{rows.lines[seen[key]]}", i, "marker", key[2])
-        seen[key] = i
-    return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
-
-
-def _corner_covariance(rows):
-    if all(name in rows.columns for name in CORNER_COVARIANCE):
-        cuu, cuv, cvv = rows.matrix(CORNER_COVARIANCE).T
-        bad = np.flatnonzero((cuu <= 0) | (cuu * cvv <= cuv**2))
-        if len(bad):
-            rows.fail("cuu, cuv, cvv are no covariance: not positive definite", bad[0], "cuu")
-        return np.stack([np.stack([cuu, cuv], -1), np.stack([cuv, cvv], -1)], -2)
-    if "sigma" not in rows.columns:
-        return None
-    sigma = rows.numbers("sigma")
-    bad = np.flatnonzero(sigma <= 0)
-    if len(bad):
-        rows.fail(f"sigma must be positive px, not {sigma[bad[0]]:g}", bad[0], "sigma", sigma[bad[0]])
-    return sigma[:, None, None] ** 2 * np.eye(2)
-
-
-def load_poses(path, known_frames=None, positions_alone=False):
-    """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
-
-    known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there are any,
-    mean nothing: the poses are unrotated. Raises FileError with line and column.
-    """
-    rows = table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
-    frame = rows.whole("frame")
-    seen = {}
-    for i, number in enumerate(frame.tolist()):
-        if known_frames is not None and number not in known_frames:
-            rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)
-        if number in seen:
-            rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
-        seen[number] = i
-    values = np.zeros((len(rows), 6))
-    values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
-    far = np.argwhere(np.abs(values[:, :3]) > design_file.LARGEST_RIG)
-    if len(far):
-        i, j = far[0]
-        rows.fail(f"{POSE_COLUMNS[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, POSE_COLUMNS[j], values[i, j])
-    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
-
-
-def _pose_covariance(rows):
-    given = [name for name in COVARIANCE_COLUMNS if name in rows.columns]
-    if not given:
-        return None
-    if len(given) < len(COVARIANCE_COLUMNS):
-        missing = next(name for name in COVARIANCE_COLUMNS if name not in given)
-        raise FileError(rows.path, f"column {missing!r} is missing: a covariance has all of {','.join(COVARIANCE_COLUMNS)}", 1)
-    covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS))
-    scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
-    whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
-    bad = np.flatnonzero(np.linalg.eigvalsh(whitened)[:, 0] <= 0)
-    if len(bad):
-        rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")
-    return covariance
+def _covers(rows, t, exposures, origin):
+    """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows what was then.
+    One row alone states what never changed."""
+    if len(t) == 1:
+        return
+    times, apart = exposures.times()[1], np.diff(t).max()
+    for outside, row, word in ((times < t[0] - apart, 0, "begins"), (times > t[-1] + apart, len(rows) - 1, "ends")):
+        if outside.any():
+            far = times[outside][-1 if row else 0]
+            rows.fail(f"the log {word} at t = {origin.text(t[row])} s, but {outside.sum()} of {len(times)} frames were exposed "
+                      f"{'after it, up to' if row else 'before it, from'} {origin.text(far)} s{'' if row else ' on'}: values are not carried "
+                      "beyond a log; is it cut off, or of another clock?", row, "t")

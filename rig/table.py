@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.origin import LATEST, Origin, other_unit
 from rig.errors import FileError
+
+LONGEST_NUMBER = 100  # characters; a float has 17 digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,16 @@ class Table:
             if bad:
                 self.fail(f"column {column!r} {bad}: {cell!r}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
+
+    def times(self, column, origin: Origin):
+        """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in seconds."""
+        values, cells = self.numbers(column), self.text(column)
+        far = np.flatnonzero(np.abs(values) > LATEST)
+        if len(far):
+            i = far[0]
+            self.fail(f"column {column!r} is in seconds, and {cells[i]} s is later than any clock shows: is it in {other_unit(values[i])}?", i,
+                      column, cells[i])
+        return origin.seconds(cells)
 
     def whole(self, column):
         """(n,) integers of at least 0. Raises FileError at the first cell that is none."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.pose import TRIANGLE, vector
-from rig.recording import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS
+from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS
 
 
 def write_text(path, text):
@@ -46,10 +46,13 @@ def write_corners(path, corners):
     write_text(path, "\n".join(lines) + "\n")
 
 
-def copy_times(source, target, exposures):
-    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording."""
+def copy_times(source, target, exposures, origin):
+    """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording.
+
+    origin : Origin that the folder's times are told by
+    """
     lines = ["frame,t,camera,image"]
-    lines += [f"{frame},{t:.6f},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
+    lines += [f"{frame},{origin.text(t)},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
         if (Path(source) / name).exists():

@@ -28,7 +28,7 @@ def again(folder):
     secret = world.from_truth(path, found.design)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
-    plan = Plan(found.commands, t, np.array([(0.0, 0.0)]))
+    plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)
     out = {}
     for kind in KINDS:
         part = secret if kind == "with" else replace(secret, effects=())

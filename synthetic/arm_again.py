@@ -11,7 +11,7 @@ from rig.design_file import load
 from rig.errors import FileError
 from rig.mechanisms import arm as mechanism
 from rig.pose import exp, pose, vector
-from rig.recording import POSE_COLUMNS
+from rig.observed import POSE_COLUMNS
 from rig.writing import write_table, write_text
 
 KINDS = ("with", "without")

@@ -9,14 +9,13 @@ from scipy.spatial.transform import RigidTransform
 from rig import machine
 from rig.plan import logged
 from rig.pose import transform_points
-from rig.recording import Corners, Sensors
+from rig.recording import LIMBS, Corners, Sensors
 from rig.writing import write_corners, write_table, write_text
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
 from vision.predict import State, facing, inside, see
 from vision.targets import marker_map
 
-LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
 
 
@@ -111,13 +110,14 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None, sp
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     plan, cameras, axes = simulation.plan, simulation.world.true.cameras, simulation.world.stated.mechanism.axes
+    shown = {t: plan.origin.text(round(t, 6)) for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}}
     write_text(out / "rig.toml", text)
-    write_table(out / "commands.csv", ("t", *axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
+    write_table(out / "commands.csv", ("t", *axes), [f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
                                                       for t, values in zip(plan.commands.t, plan.commands.values)])
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
-                 [f"{f},{t:.4f},{c.name}," + (f"images/{c.name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t) for c in cameras])
+                 [f"{f},{shown[t]},{c.name}," + (f"images/{c.name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t) for c in cameras])
     log = simulation.log
-    write_table(out / "sensors.csv", ("t", *log.channels), [f"{t:.4f}," + ",".join(
+    write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
         f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
     if images is None:
         seen = corners(simulation, noise, rng)

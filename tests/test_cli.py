@@ -11,7 +11,7 @@ import termios
 import numpy as np
 import pytest
 
-from rig import design_file, recording, writing
+from rig import design_file, observed, recording, writing
 from rig.mechanisms import hexapod
 from rig.pose import difference
 from tests.cli import RIG, Links, run
@@ -33,7 +33,7 @@ def test_measure_writes_what_the_contract_says(worked):
     base, _ = worked
     out = base / "measured"
     header = (out / "poses.csv").read_text().splitlines()[0].split(",")
-    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(recording.COVARIANCE_COLUMNS)
+    assert header[:7] == ["frame", "x", "y", "z", "rx", "ry", "rz"] and header[7:] == list(observed.COVARIANCE_COLUMNS)
     assert (out / "corners.csv").read_text().splitlines()[0].startswith("frame,camera,marker,corner,u,v,sigma")
     nominal, adjusted = design_file.load(base / "fit" / "rig.toml"), design_file.load(out / "rig.toml")
     assert np.abs(difference(nominal.cameras[0].pose, adjusted.cameras[0].pose)).max() > 1e-4

@@ -1,6 +1,6 @@
 """An arm's recording -> its Diagnosis: which effect sits at which joint, how large, how sure, and what nobody can name."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,6 +16,7 @@ from calib.diagnose.joints import Arms, Fit, fit, stretches
 from calib.diagnose.repeats import repeats
 from calib.diagnose.weather import smoothed
 from calib.pipeline import sample_recording
+from rig.origin import Origin
 from rig.effects.base import Path
 from rig.errors import NotEnoughData
 
@@ -42,7 +43,8 @@ class HeldOut:
 class ArmDiagnosis:
     """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; families : how many were asked
-    skipped : [Skipped]; held : [HeldOut], fine stretches first; repeats : Repeats or None; unknown : [Unknown]"""
+    skipped : [Skipped]; held : [HeldOut], fine stretches first; repeats : Repeats or None; unknown : [Unknown]
+    origin : of the owner's clock, which moments are told by"""
 
     recording: str
     source: str
@@ -56,6 +58,7 @@ class ArmDiagnosis:
     held: list
     repeats: object
     unknown: list
+    origin: Origin = Origin()
 
 
 def arms_of(samples, nominal, instrument, gravity, commands=None, channels=None):
@@ -94,7 +97,8 @@ def diagnose(recording, only=None, without=(), progress=None):
     sensors, _ = smoothed(recording.sensors)
     channels = {} if sensors is None else {name: sensors.at(s.t, name) for name in sensors.channels}
     arms, found = arms_of(s, design.mechanism, design.instrument, design.gravity, recording.commands, channels)
-    return diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)
+    found = diagnosed(arms, found, recording.folder.resolve().name, sampled.source, only, without, progress)
+    return replace(found, origin=recording.origin)
 
 
 def diagnosed(arms, found, name, source, only=None, without=(), progress=None, coarse=True):

@@ -26,7 +26,7 @@ def to_dict(d):
                                                                      "depends_on": {"value": list(u.depends_on), "unit": ""}},
                "evidence": {"p_value": u.p_value, "drop": u.drop}, "cannot_be_told_from": []} for u in _places(d.unknown)]
     worst = d.unknown[0] if d.unknown else None
-    return {"schema": SCHEMA, "recording": d.recording, "noise": noise(d), "findings": found,
+    return {"schema": SCHEMA, "recording": d.recording, "start_s": d.origin.shown(0.0), "noise": noise(d), "findings": found,
             "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
                                                        "depends_on": list(worst.depends_on)},
             "fit": {"heldout_before": mean(d.held[0].before), "heldout_after": mean(d.held[0].after), "noise_floor": floor(d), "unit": "m"},
@@ -118,7 +118,8 @@ def parameters(d, finding):
                 "moments": {"value": list(names), "unit": ""}}
     sigma = float(np.sqrt(covariance[0, 0]))
     out = {NAMES[name]: {"value": float(theta[0]), "unit": UNITS[name], "ci95": [float(theta[0]) - Z95 * sigma, float(theta[0]) + Z95 * sigma]}}
-    return out | {key: {"value": one.shape[key], "unit": unit} for key, unit in SHAPES.items() if key in one.shape}
+    shape = one.shape | ({"time": d.origin.shown(one.shape["time"])} if "time" in one.shape else {})
+    return out | {key: {"value": shape[key], "unit": unit} for key, unit in SHAPES.items() if key in shape}
 
 
 def _scaled(moved, theta, covariance, weights, unit):

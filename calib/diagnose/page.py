@@ -13,6 +13,7 @@ from calib.report import page, table
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
+LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
 LONG = 4  # numbers of a vector that are written out
 
 
@@ -69,7 +70,7 @@ def _main(finding):
 
 def _number(value, unit, with_unit=True):
     scale, name = SCALES.get(unit, (1, unit))
-    text = "unlimited" if not np.isfinite(value) else f"{value * scale:.3g}"
+    text = "unlimited" if not np.isfinite(value) else f"{value:.1f}" if unit == "s" and abs(value) >= LONG_TIME else f"{value * scale:.3g}"
     return f"{text} {name}".strip() if with_unit else text
 
 

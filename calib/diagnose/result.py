@@ -14,6 +14,7 @@ from calib.diagnose.prove import Proof, corner_noise, overall, prove
 from calib.diagnose.select import Selection, select, supported
 from calib.diagnose.temperatures import unlogged, widened
 from calib.diagnose.unknown import unknowns
+from rig.origin import Origin
 from rig.effects import BY_NAME
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.parse import to_dict as effect_dict
@@ -29,7 +30,8 @@ class Diagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
     moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
     selection : Selection; proofs : [Proof], one for each finding;
-    fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}"""
+    fit : Proof of all together; unknown : [Unknown]; skipped : [Skipped]; noise : {corner_px, pose_m, pose_rad, strut_m}
+    origin : of the owner's clock, which moments are told by"""
 
     recording: str
     source: str
@@ -41,6 +43,7 @@ class Diagnosis:
     unknown: list
     skipped: list
     noise: dict
+    origin: Origin = Origin()
 
     @property
     def effects(self):
@@ -76,7 +79,7 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     if selection.findings and knowledge.axes:
         plane = selection.findings[0].score.family.plane
     return Diagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, overall(selection.settled, plane), left, skipped,
-                     _noise(selection.settled.planes))
+                     _noise(selection.settled.planes), recording.origin)
 
 
 def _bare(settled):
@@ -115,7 +118,7 @@ def to_dict(diagnosis):
                   "evidence": {"p_value": u.p_value, "drop": u.drop}, "cannot_be_told_from": []} for u in _places(diagnosis.unknown)]
     worst = diagnosis.unknown[0] if diagnosis.unknown else None
     fit = diagnosis.fit
-    return {"schema": SCHEMA, "recording": diagnosis.recording, "noise": diagnosis.noise, "findings": findings,
+    return {"schema": SCHEMA, "recording": diagnosis.recording, "start_s": diagnosis.origin.shown(0.0), "noise": diagnosis.noise, "findings": findings,
             "unexplained": None if worst is None else {"place": worst.place, "magnitude": worst.magnitude, "unit": worst.unit,
                                                        "depends_on": list(worst.depends_on)},
             "fit": {"heldout_before": fit.before, "heldout_after": fit.after, "noise_floor": fit.floor, "unit": fit.unit},
@@ -146,7 +149,8 @@ def _finding(diagnosis, finding, proof):
                   for name, (value, low, high) in settled.intervals(finding.number).items()}
     for p in effect.parameters:
         if p.role in ("moment", "choice") and getattr(effect, p.name) > -1e8:
-            parameters[p.name] = {"value": getattr(effect, p.name), "unit": p.unit, **_bracket(settled, effect, p)}
+            value = getattr(effect, p.name)
+            parameters[p.name] = {"value": value, "unit": p.unit} if p.role == "choice" else _moment(settled.knowledge.t, value, diagnosis.origin)
     return {"effect": effect.name, "place": effect.place, "parameters": parameters,
             "evidence": {"delta_bic": finding.score.gain(size), "p_value": min(1.0, finding.score.p_value * diagnosis.selection.families),
                          "heldout_before": proof.before, "heldout_after": proof.after, "unit": proof.unit, "gain_sigma": proof.gain},
@@ -155,13 +159,10 @@ def _finding(diagnosis, finding, proof):
                                     for r in finding.rivals]}
 
 
-def _bracket(settled, effect, parameter):
-    """The frames between which a moment lies."""
-    if parameter.role != "moment":
-        return {}
-    t, value = settled.knowledge.t, getattr(effect, parameter.name)
+def _moment(t, value, origin):
+    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies."""
     i = int(np.clip(np.searchsorted(t, value), 1, len(t) - 1))
-    return {"ci95": [float(t[i - 1]), float(t[i])]}
+    return {"value": origin.shown(value), "unit": "s", "ci95": [origin.shown(t[i - 1]), origin.shown(t[i])]}
 
 
 def experiment(a, b):

@@ -6,6 +6,7 @@ from rig.commands.output import SEED, Progress, fresh_folder
 from rig.errors import RigError
 
 
+LONG_TIME = 1000.0  # s; times from there on, and clocks, are printed to a tenth of a second
 FEW = 6  # numbers of a parameter that are printed; of more, how many there are
 
 
@@ -82,4 +83,5 @@ def _parameter(name, parameter):
             return f"{name} {shown} {parameter['unit']}"
         return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
     low, high = parameter.get("ci95", (None, None))
-    return f"{name} {value:.4g} {unit}" + (f" ({low:.4g} to {high:.4g})" if low is not None else "")
+    digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
+    return f"{name} {value:{digits}} {unit}" + (f" ({low:{digits}} to {high:{digits}})" if low is not None else "")

@@ -47,7 +47,7 @@ def run(arguments):
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
-    writing.copy_times(recording.folder, out, recording.exposures)
+    writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     measurement_page(out / "report.html", recording, measured, collected, moved, statement, wrong)
     position, rotation = uncertainty(measured.covariance)
     total = len(recording.exposures.times()[0])

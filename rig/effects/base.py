@@ -24,7 +24,7 @@ class Parameter:
 
     role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
     (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a shape's
-    parameter, to be searched over `usual` on a scale of that kind), "moment" (a time in the recording), "frequency", "choice"
+    parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's start), "frequency", "choice"
     (a whole number)
     """
 
@@ -68,7 +68,7 @@ class Motion:
     """All that a strut or structure effect may look at, at the n exposures.
 
     mechanism : Hexapod as it really is; platform : Platform; actuator : Actuator; gravity : (3,) m/s^2, base frame
-    t : (n,) s on the commands' clock; path : Path of the commands, clock and lags applied
+    t : (n,) s from the recording's start, on the commands' clock; path : Path of the commands, clock and lags applied
     sensors : Sensors or None; home : (axes,) m, commanded lengths at home
     T : T_base_platform (n,), the present estimate, for effects that depend on the pose
     """

@@ -10,7 +10,7 @@ from rig.effects.base import Effect, Parameter
 
 @dataclass(frozen=True, slots=True)
 class CameraBump(Effect):
-    """The mount is moved by motion (6) m, rad, in the camera's frame, from time (s) on."""
+    """The mount is moved by motion (6) m, rad, in the camera's frame, from time (s from the recording's start) on."""
 
     place: str
     motion: tuple[float, ...] = (0.0,) * 6

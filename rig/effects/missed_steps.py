@@ -8,7 +8,7 @@ from rig.effects.base import Effect, Parameter
 
 @dataclass(frozen=True, slots=True)
 class MissedSteps(Effect):
-    """Deviation jump (m) from time (s) on."""
+    """Deviation jump (m) from time (s from the recording's start) on."""
 
     place: str
     jump: float = 0.0

@@ -10,7 +10,7 @@ from rig.effects.base import Effect, Parameter
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset(Effect):
-    """Exposures logged at t >= since happened at t + offset on the commands' clock."""
+    """Exposures logged at t >= since (s from the recording's start) happened at t + offset on the commands' clock."""
 
     place: str
     offset: float = 0.0

@@ -8,7 +8,7 @@ from calib.arms import model, observations
 from calib.samples import Samples
 from rig.design import Instrument
 from rig.pose import exp, log, pose, vector
-from rig.recording import POSE_COLUMNS
+from rig.observed import POSE_COLUMNS
 from rig.writing import write_table
 from tests.rig.arms import configurations
 

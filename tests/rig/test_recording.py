@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rig import recording, writing
+from rig import observed, recording, writing
 from rig.errors import FileError, RigError
 from rig.pose import difference
 from tests.conftest import BENCH, SHARED
@@ -167,7 +167,7 @@ def test_poses_that_are_none(tmp_path, rows, says):
 
 
 def test_a_covariance_must_be_one(tmp_path):
-    header = ",".join(["frame", *recording.POSE_COLUMNS, *recording.COVARIANCE_COLUMNS])
+    header = ",".join(["frame", *observed.POSE_COLUMNS, *observed.COVARIANCE_COLUMNS])
     (tmp_path / "poses.csv").write_text(header + "\n0" + ",0" * 6 + ",-1" + ",0" * 20 + "\n")
     with pytest.raises(FileError, match="not positive definite"):
         recording.load_poses(tmp_path / "poses.csv")

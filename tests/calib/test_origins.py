@@ -1,0 +1,54 @@
+"""No verdict depends on where the owner's clock counts from; moments are told by that clock."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.diagnose import result
+from rig import recording
+from rig.effects import ALL
+from synthetic import blind
+from tests.calib.recorded import recorded
+from tests.origins import ORIGINS, counted_from
+
+CLOCKED = ["clock_drift", "time_offset", "vibration", "missed_steps"]  # what a wrong origin is taken for
+
+
+def verdicts(folder, tmp_path, only, origins=ORIGINS):
+    """{origin: tree of diagnosis.json}."""
+    return {origin: result.to_dict(result.diagnose(recording.load(counted_from(folder, tmp_path / origin, origin)), only)) for origin in origins}
+
+
+def assert_same(trees):
+    """The same findings with the same figures to 1e-6 of their intervals, moments later by the origin."""
+    trees = json.loads(json.dumps(trees))
+    first = trees.pop("0")
+    for origin, tree in trees.items():
+        assert tree["start_s"] == first["start_s"] + float(origin)
+        assert [(f["effect"], f["place"]) for f in tree["findings"]] == [(f["effect"], f["place"]) for f in first["findings"]]
+        for a, b in zip(first["findings"], tree["findings"]):
+            for name, p in a["parameters"].items():
+                moment = name in ("time", "since")
+                ends = np.asarray(p.get("ci95", [0.0, 0.0]), float)
+                slack = 1e-6 * np.abs(ends[1] - ends[0]).max() + 1e-12 + (1e-6 if moment else 0.0)  # a float at 1.7e9 is good to 2.4e-7 s
+                if p["unit"] or name != "depends_on":
+                    np.testing.assert_allclose(b["parameters"][name]["value"], np.asarray(p["value"]) + (float(origin) if moment else 0.0),
+                                               rtol=0, atol=slack)
+
+
+@pytest.mark.parametrize(("text", "kind"), [("clock_drift:clock:rate=4e-4", "clock_drift"),
+                                            ("missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps")])
+def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
+    recorded(tmp_path / "rec", design, [text], route="moving:8,sobol:36,moving:8")
+    trees = verdicts(tmp_path / "rec", tmp_path, [kind], (ORIGINS[0], ORIGINS[-1]))
+    assert [f["effect"] for f in trees["0"]["findings"]] == [kind]
+    assert_same(trees)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [effect.name for effect in ALL])
+def test_no_verdict_of_the_catalogue_depends_on_the_origin(tmp_path, kind):
+    trial = blind.draw(11, 1, 160, [], ["one"], [kind])
+    blind.write_recording(trial, tmp_path / "rec")
+    assert_same(verdicts(tmp_path / "rec", tmp_path, sorted({kind, *CLOCKED})))
