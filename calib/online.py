@@ -18,7 +18,7 @@ from calib.square_root import ALARM, KINDS, REFUSED, SUMS, WINDOW, follow, learn
 from rig.design import Hexapod
 from rig.errors import FileError, RigError
 from rig.pose import pose, vector
-from rig.writing import write_text
+from rig.files import write_text
 
 SCHEMA = "online/1"
 LARGEST = 6  # changes at one pose

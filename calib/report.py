@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from calib.certificate import errors_of
 from rig import mechanisms
 from rig.pose import vector
-from rig.writing import write_text
+from rig.files import write_text
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}

@@ -20,7 +20,7 @@ from calib.interpolate.radial import Radial
 from rig.design import Arm, Hexapod
 from rig.errors import FileError
 from rig.pose import pose, vector
-from rig.writing import write_text
+from rig.files import write_text
 
 SCHEMA = "calibration/1"
 UNITS = "m, rad, s; covariances in their products"

@@ -1,11 +1,21 @@
 """The command line: it lists the commands and opens the one asked for; each imports what it needs when it runs."""
 
 import argparse
+import errno
 import importlib
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from pathlib import Path
 
 from rig.errors import RigError
+from rig.files import STANDARD_OUTPUT, Outputs
+
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+WRITTEN = ("out", "truth", "state")  # arguments that name what is written; all other paths are read
 
 COMMANDS = {
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
@@ -30,9 +40,9 @@ COMMANDS = {
 def main(argv=None):
     """Run one command; returns the exit status: 0 done, 1 refused with a reason, 2 wrong usage, 130 interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    parser = argparse.ArgumentParser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts.",
-                                     epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
-                                            "SI units and radians throughout.")
+    parser = _Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts.",
+                     epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
+                            "SI units and radians throughout.")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     chosen = next((word for word in argv if not word.startswith("-")), None)
     for name, text in COMMANDS.items():
@@ -41,19 +51,106 @@ def main(argv=None):
             module = importlib.import_module(f"rig.commands.{name}")
             module.arguments(sub)
             sub.set_defaults(run=module.run)
-    arguments = parser.parse_args(argv)
-    if arguments.command is None:
-        parser.print_help()
-        return 2
-    arguments.argv = argv
     try:
-        return arguments.run(arguments) or 0
+        arguments = parser.parse_args(argv)
+        if arguments.command is None:
+            parser.print_help()
+            return _flushed("rig", 2)
+    except SystemExit as end:
+        raise SystemExit(_flushed("rig", end.code)) from None
+    except OSError as error:
+        return _failed(f"rig: standard output: {error.strerror}")
+    arguments.argv = argv
+    return _run(arguments)
+
+
+class _Parser(argparse.ArgumentParser):
+    def print_help(self, file=None) -> None:
+        """Print the help; unlike argparse's own this raises OSError where it cannot."""
+        print(self.format_help(), end="", file=file)
+
+
+class Ended(BaseException):
+    """Somebody asked this process to end; number : of the signal."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    """The exit status of a command; what it has written is in its place before this returns."""
+    name = f"rig {arguments.command}"
+    to_stdout = getattr(arguments, "out", None) == STANDARD_OUTPUT
+    try:
+        with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
+            arguments.outputs = outputs
+            with redirect_stdout(sys.stderr) if to_stdout else nullcontext():
+                status = arguments.run(arguments) or 0
+        return _flushed(name, status)
     except RigError as error:
-        print(f"rig {arguments.command}: {error}", file=sys.stderr)
-        return 1
+        return _failed(f"{name}: {error}")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError:
+        return _failed(f"{name}: there is not enough memory for this")
+    except OSError as error:
+        if _flushed(name, 0):
+            return 1
+        where = error.filename or ("standard output" if error.errno in UNWRITABLE else "")  # files are written where a FileError names them
+        return _failed(f"{name}: {f'{where}: ' if where else ''}{error.strerror or error}")
     except KeyboardInterrupt:
-        print(f"rig {arguments.command}: interrupted", file=sys.stderr)
-        return 130
+        return _failed(f"{name}: interrupted", 130)
+    except Ended as end:
+        return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
+
+
+def _read(arguments: argparse.Namespace) -> list[Path]:
+    """The paths that a command reads."""
+    named = [value for name, value in vars(arguments).items() if name not in WRITTEN]
+    return [path for value in named for path in (value if isinstance(value, list) else [value]) if isinstance(path, Path)]
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Within it a signal to end is an exception, so that what was begun is cleared away; threads but the first cannot ask for that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, _) -> None:
+        raise Ended(number)
+
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _failed(message: str, status: int = 1) -> int:
+    with suppress(OSError):  # where the error output is full as well, the status alone can tell
+        print(message, file=sys.stderr, flush=True)
+    _flushed("", status)
+    return status
+
+
+def _flushed(name: str, status: int | str | None) -> int | str | None:
+    """The status, once all that was printed is out; 1 where it cannot be printed, which is said on the error output."""
+    if sys.stdout is None:
+        return status
+    try:
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        message = ""
+    except OSError as error:
+        message = f"{name}: standard output cannot be written: {error.strerror}"
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes there at the interpreter's end
+    if name and message:
+        with suppress(OSError):
+            print(message, file=sys.stderr, flush=True)
+    return status or 1

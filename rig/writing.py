@@ -1,20 +1,12 @@
 """Arrays -> the files of a recording, each written whole or not at all."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 
+from rig.files import write_bytes, write_text
 from rig.pose import TRIANGLE, vector
 from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS
-
-
-def write_text(path, text):
-    """Write a text file, whole or not at all."""
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def write_table(path, header, rows):
@@ -56,4 +48,4 @@ def copy_times(source, target, exposures, origin):
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
         if (Path(source) / name).exists():
-            (Path(target) / name).write_bytes((Path(source) / name).read_bytes())
+            write_bytes(Path(target) / name, (Path(source) / name).read_bytes())

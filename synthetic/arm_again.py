@@ -9,10 +9,11 @@ from scipy.spatial.transform import RigidTransform
 from rig import table
 from rig.design_file import load
 from rig.errors import FileError
+from rig.files import write_text
 from rig.mechanisms import arm as mechanism
 from rig.pose import exp, pose, vector
 from rig.observed import POSE_COLUMNS
-from rig.writing import write_table, write_text
+from rig.writing import write_table
 
 KINDS = ("with", "without")
 COPIED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv")

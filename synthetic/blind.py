@@ -12,7 +12,7 @@ from rig.effects import ALL
 from rig.errors import RigError
 from rig.plan import build
 from rig.recording import Sensors
-from rig.writing import write_text
+from rig.files import write_text
 from synthetic import outlaws, simulation, world
 from vision import lens
 

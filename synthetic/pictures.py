@@ -11,6 +11,7 @@ import numpy as np
 from rig.design import Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
+from rig.files import write_bytes
 from rig.processes import cores, gathered
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
@@ -103,7 +104,7 @@ def _draw(item):
     radiance = sum(_picture(camera, i, f, shift, T[f]) for shift, T in _state["exposures"]) / np.float32(len(_state["exposures"]))
     image = expose(radiance, images.sensor, rng, SAMPLES)
     path = _state["out"] / "images" / camera.name / f"{f:05d}.png"
-    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])
+    write_bytes(path, cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])[1].tobytes())
 
 
 def _sub_exposures(sensor):

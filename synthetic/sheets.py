@@ -1,11 +1,14 @@
 """Cube nets and loose markers as sheets to print, true to scale, with a ruler on each (PDF by matplotlib)."""
 
+import io
+
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from rig.errors import RigError
+from rig.files import write_bytes
 from vision.targets import marker_cells
 
 PAPER = {"A4": (210, 297), "A3": (297, 420), "A2": (420, 594), "A1": (594, 841), "A0": (841, 1189)}  # mm
@@ -27,7 +30,8 @@ def sheets(design, path, paper="A4"):
     if not design.targets:
         raise RigError("the rig has no targets to print")
     said = []
-    with PdfPages(path) as pdf:
+    buffer = io.BytesIO()
+    with PdfPages(buffer) as pdf:
         for target in design.targets:
             for label, width, height, draw in _pages(target):
                 name, page = _fitting(label, width, height, list(PAPER)[list(PAPER).index(paper) :])
@@ -39,6 +43,7 @@ def sheets(design, path, paper="A4"):
                 _ruler(axes, page, label)
                 pdf.savefig(figure)
                 said.append(f"{label}: {name} {'landscape' if page[0] > page[1] else 'portrait'}")
+    write_bytes(path, buffer.getvalue())
     return said
 
 

@@ -7,10 +7,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine
+from rig.files import write_text
 from rig.plan import logged
 from rig.pose import transform_points
 from rig.recording import LIMBS, Corners, Sensors
-from rig.writing import write_corners, write_table, write_text
+from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
 from vision.predict import State, facing, inside, see

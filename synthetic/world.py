@@ -11,7 +11,7 @@ from rig.effects.parse import from_dict, to_dict
 from rig.errors import FileError, RigError
 from rig.pose import exp, pose, vector
 from rig.recording import Sensors
-from rig.writing import write_text
+from rig.files import write_text
 
 JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
 ZERO = 3e-4  # m, of a strut's zero

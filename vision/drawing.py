@@ -1,11 +1,13 @@
 """One frame of a recording as a picture: markers as found, axes as posed, residuals enlarged."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from rig.errors import RigError
+from rig.errors import FileError, RigError
+from rig.files import write_bytes
 from rig.recording import Exposures
 from vision import lens
 from vision.collect import read_image
@@ -14,6 +16,7 @@ from vision.recorded import measure_recording
 
 FOUND, ASIDE, ARROW = (80, 220, 80), (60, 60, 230), (0, 170, 255)  # BGR
 AXES = ((60, 60, 240), (60, 200, 60), (240, 120, 40))
+FORMATS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
@@ -42,12 +45,22 @@ def frame_picture(recording, frame, enlarge=200.0, progress=None):
     return pictures, measured
 
 
+def check_format(path):
+    """The suffix by which a picture's format goes; of a file without one, and of what is no file, a PNG's. Raises FileError for an unknown one."""
+    suffix = Path(path).suffix.lower()
+    if suffix and suffix not in FORMATS:
+        raise FileError(path, f"pictures are written as {', '.join(FORMATS)}, not as {suffix!r}")
+    return suffix or ".png"
+
+
 def save(path, pictures, measured):
-    """Write the pictures side by side as a PNG; returns what there is to say about the frame, in words."""
+    """Write the pictures side by side; returns what there is to say about the frame, in words. Raises as `check_format` and writing do."""
     height = max(picture.shape[0] for _, picture in pictures)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 4, cv2.BORDER_CONSTANT) for _, p in pictures]
-    if not cv2.imwrite(str(path), np.hstack(padded)):
-        raise RigError(f"{path} cannot be written as a picture; name a .png")
+    done, coded = cv2.imencode(check_format(path), np.hstack(padded))
+    if not done:
+        raise RigError(f"{path}: the picture of {padded[0].shape[1]} x {height} px and more beside it cannot be coded")
+    write_bytes(path, coded.tobytes())
     if not len(measured.frames):
         return "; ".join(measured.unsolved.values())
     position = measured.T_base_platform[0].translation * 1e3

@@ -8,7 +8,8 @@ from scipy.linalg import cho_solve
 from calib.diagnose.joint_scan import reshaped
 from calib.diagnose.result import SCHEMA, _places, experiment
 from rig.pose import vector
-from rig.writing import write_table, write_text
+from rig.files import write_text
+from rig.writing import write_table
 
 NEAR = 0.02  # rad; nearer angles than that share a joint's profile
 Z95 = 1.959964

@@ -19,7 +19,7 @@ from rig.effects import BY_NAME
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.parse import to_dict as effect_dict
 from rig.pose import vector
-from rig.writing import write_text
+from rig.files import write_text
 from vision.places import moves
 
 SCHEMA = "diagnosis/1"

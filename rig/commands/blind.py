@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_folder
+from rig.commands.output import Progress, add_force
 from rig.errors import MissingLibrary, RigError
 from rig.processes import cores
 
@@ -36,6 +36,7 @@ def arguments(parser):
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same folders, instead of this machine's cores")
+    add_force(parser)
 
 
 def run(arguments):
@@ -44,7 +45,7 @@ def run(arguments):
 
     settings = _settings(arguments, blind)
     indices = _indices(arguments.trials, arguments.season)
-    out = fresh_folder(arguments.out).resolve()
+    out = arguments.outputs.growing(arguments.out, own=(arguments.out / "season.json").exists()).resolve()
     _same_season(out / "season.json", settings)
     for name in ("recordings", "seals", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
@@ -96,7 +97,7 @@ def _indices(text, count):
 
 def _same_season(path, settings):
     """Write what makes this season, or raise RigError where the folder holds another."""
-    from rig.writing import write_text
+    from rig.files import write_text
 
     if path.exists():
         try:
@@ -113,7 +114,7 @@ def seal(out, index, settings):
     """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
     from calib.diagnose.strength import strengths
     from rig import recording
-    from rig.writing import write_text
+    from rig.files import write_text
     from synthetic import blind
 
     out = Path(out)
@@ -134,7 +135,7 @@ def _sealed(out, index, settings):
 
 def _diagnosed(out, index):
     """(index, seconds, error or None) of the diagnosis of one trial, in a process to which the truth is closed."""
-    from rig.writing import write_text
+    from rig.files import write_text
 
     out = Path(out)
     target, record = out / "diagnoses" / f"{index:04d}", out / "diagnoses" / f"{index:04d}.json"
@@ -210,7 +211,7 @@ def _unsealed(out, index, score):
 
 def _report(out, settings, cases, score):
     from rig.commands.blind_page import season_page, tree
-    from rig.writing import write_text
+    from rig.files import write_text
 
     write_text(out / "score.json", json.dumps({"settings": settings, **tree(cases)}, indent=1) + "\n")
     season_page(out / "score.html", settings, cases)

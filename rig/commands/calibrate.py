@@ -2,15 +2,16 @@
 
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, fresh_file, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, file_or_stdout, print_comparison, print_unsolved
 from rig.errors import RigError
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="calibration.json; the report is written beside it")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
+    add_force(parser)
 
 
 def run(arguments):
@@ -18,7 +19,8 @@ def run(arguments):
     from rig import recording as recordings
 
     recording = recordings.load(arguments.recording)
-    out = fresh_file(arguments.out, recording.folder)
+    out = arguments.outputs.file(arguments.out)
+    page = arguments.outputs.beside(out, ".html")
 
     import numpy as np
 
@@ -29,11 +31,11 @@ def run(arguments):
     if recording.design.mechanism.kind == "arm":
         if arguments.joint:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
-        _arm(recording, sampled, out, arguments.argv, rng)
+        _arm(recording, sampled, (out, page), arguments.argv, rng)
     else:
-        _hexapod(recording, sampled, out, arguments.argv, rng, arguments.joint)
+        _hexapod(recording, sampled, (out, page), arguments.argv, rng, arguments.joint)
     print_unsolved(sampled.measurement)
-    print(f"written: {out}; look at {out.with_suffix('.html')}")
+    print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
 def _hexapod(recording, sampled, out, argv, rng, joint):
@@ -45,8 +47,9 @@ def _hexapod(recording, sampled, out, argv, rng, joint):
         from calib.joint import refine
 
         correction, found = refine(sampled, recording.design, correction, found)
-    calibration = _stored(out, recording, sampled, argv, correction, found, held_out)
-    calibration_page(out.with_suffix(".html"), recording, calibration, sampled.samples, found)
+    calibration = _stored(out[0], recording, sampled, argv, correction, found, held_out)
+    if out[1]:
+        calibration_page(out[1], recording, calibration, sampled.samples, found)
     print(f"{len(sampled.samples)} poses from {sampled.source}, {found.inliers.sum()} of them agree with one geometry")
     print_comparison(held_out, "held-out poses (whole stretches in turn)")
     kept = [i + 1 for i, part in enumerate(correction.remainder) if part is not None]
@@ -59,8 +62,9 @@ def _arm(recording, sampled, out, argv, rng):
     from calib.arms.report import calibration_page
 
     done = certify(sampled.samples, recording.design.mechanism, recording.design.instrument, rng)
-    calibration = _stored(out, recording, sampled, argv, done.correction, done.found, done.held_out)
-    calibration_page(out.with_suffix(".html"), recording, calibration, sampled.samples, done)
+    calibration = _stored(out[0], recording, sampled, argv, done.correction, done.found, done.held_out)
+    if out[1]:
+        calibration_page(out[1], recording, calibration, sampled.samples, done)
     print(f"{len(sampled.samples)} poses from {sampled.source}, {done.found.inliers.sum()} of them agree with one geometry")
     print("\n".join(done.found.rank.report()))
     print_comparison(done.held_out, "held-out poses (a third at a time, whole stretches)")

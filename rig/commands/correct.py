@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from rig.commands.output import fresh_file
+from rig.commands.output import add_force, file_or_stdout
 from rig.errors import Unreachable
 
 
@@ -11,9 +11,10 @@ def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("--poses", metavar="FILE", type=Path, required=True, help="frame,x,y,z,rx,ry,rz of the wanted poses")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="frame,l1..l6 (an arm: q1..qn) to command")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6 (an arm: q1..qn) to command")
     parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
+    add_force(parser)
 
 
 def run(arguments):
@@ -27,7 +28,7 @@ def run(arguments):
 
     correction = store.load(arguments.calibration).correction
     wanted = recordings.load_poses(arguments.poses)
-    out = fresh_file(arguments.out)
+    out = arguments.outputs.file(arguments.out)
     keep, refused = np.arange(len(wanted.frame)), []
     while len(keep):  # first what no command reaches, then what lies beyond the limits
         T = wanted.T_base_platform[keep]
@@ -46,4 +47,4 @@ def run(arguments):
         print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
     rows = [",".join([str(frame), *(f"{length:.10f}" for length in lengths)]) for frame, lengths in zip(wanted.frame[keep], commands)]
     writing.write_table(out, ("frame", *correction.nominal.axes), rows)
-    print(f"{len(keep)} of {len(wanted.frame)} poses written to {out}")
+    print(f"{len(keep)} of {len(wanted.frame)} poses written to {arguments.out}")

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import fresh_file
+from rig.commands.output import add_force, file_or_stdout
 
 
 def arguments(parser):
@@ -14,7 +14,8 @@ def arguments(parser):
     parser.add_argument("--dictionary", default="DICT_5X5_100")
     parser.add_argument("--limbs", action="store_true", help="with six measuring limbs beside the struts")
     parser.add_argument("--name", default="hexapod")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="written here, or printed")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
+    add_force(parser)
 
 
 def run(arguments):
@@ -23,7 +24,7 @@ def run(arguments):
 
     from rig.errors import RigError
     from rig.layout import layout
-    from rig.writing import write_text
+    from rig.files import write_text
 
     size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
     if not size:
@@ -33,5 +34,5 @@ def run(arguments):
     if arguments.out is None:
         print(text, end="")
         return
-    write_text(fresh_file(arguments.out), text)
+    write_text(arguments.outputs.file(arguments.out), text)
     print(f"written: {arguments.out}")

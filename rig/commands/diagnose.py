@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, fresh_folder
+from rig.commands.output import SEED, Progress, add_force
 from rig.errors import RigError
 
 
@@ -18,6 +18,7 @@ def arguments(parser):
                         "so that less can hide in them")
     parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
     parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
+    add_force(parser)
 
 
 def run(arguments):
@@ -29,7 +30,7 @@ def run(arguments):
         if text.split(" ")[0] not in BY_NAME:
             raise RigError(f"there is no effect {text.split(' ')[0]!r}; there are {', '.join(BY_NAME)}")
     recording = recordings.load(arguments.recording)
-    out = fresh_folder(arguments.out, recording.folder)
+    out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
     if recording.design.mechanism.kind == "arm":
@@ -60,7 +61,7 @@ def run(arguments):
     scale, unit = (1e6, "um") if fit["unit"] == "m" else (1, fit["unit"])
     before, after, floor = (fit[name] * scale for name in ("heldout_before", "heldout_after", "noise_floor"))
     print(f"held out: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
-    print(f"written: {out / 'diagnosis.json'}; look at {out / 'diagnosis.html'}")
+    print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
 def _known(path, recording):

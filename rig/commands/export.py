@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from rig.commands.output import fresh_file
+from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError
 
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
@@ -13,22 +13,23 @@ def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="written here, or printed")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: screws turned by their cardans (screw_coupling)")
     parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for --coupling")
+    add_force(parser)
 
 
 def run(arguments):
     """Write or print the geometry."""
     from rig.export import genhexkins, sheet, urdf
-    from rig.writing import write_text
+    from rig.files import write_text
 
     mechanism, remainder = _machine(arguments.machine)
     kinds = FORMATS[arguments.format]
     if mechanism.kind not in kinds:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
-    out = fresh_file(arguments.out) if arguments.out else None
+    out = arguments.outputs.file(arguments.out) if arguments.out else None
     text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, arguments.lead, arguments.coupling),
             "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: sheet.as_json(mechanism),
             "csv": lambda: sheet.as_csv(mechanism)}[arguments.format]()
@@ -39,7 +40,7 @@ def run(arguments):
         print(text, end="")
         return
     write_text(out, text)
-    print(f"written: {out}")
+    print(f"written: {arguments.out}")
 
 
 def _machine(path):

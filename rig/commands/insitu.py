@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_file, print_unsolved
+from rig.commands.output import Progress, print_unsolved
 from rig.errors import RigError
 
 
@@ -22,7 +22,7 @@ def run(arguments):
     if min(*arguments.tolerance, arguments.check) <= 0:
         raise RigError("--tolerance and --check take positive numbers")
     recording = recordings.load(arguments.recording)
-    state = fresh_file(arguments.state, recording.folder) if arguments.state else None
+    state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
 
     from calib import insitu
     from calib.pipeline import sample_recording
@@ -70,8 +70,8 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
     commands = values[np.searchsorted(known, frames)]
     T = limbs.pose(lengths)
     own, common = limbs.uncertainty(T)
-    if state.exists():
-        learner = Online.load(state)
+    if arguments.state.exists():
+        learner = Online.load(arguments.state)
         learner.new_session(common.shape[2])
         print(f"going on after {learner.number} poses")
     else:
@@ -84,7 +84,7 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
             i, checked = at[frame], checked + 1
             if not insitu.still_agrees(samples.T_base_platform[i], vision[i], T[k], own[k], common[k]):
                 learner.save(state)
-                print(f"frame {frame}: vision no longer agrees with the measuring limbs, nothing is learnt from here on; written: {state}")
+                print(f"frame {frame}: vision no longer agrees with the measuring limbs, nothing is learnt from here on; written: {arguments.state}")
                 return 1
         update = learner.update(commands[k], T[k], own[k], common[k])
         for change in update.changes:
@@ -95,5 +95,5 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
     moved = learner.p - parameters(learner.nominal)
     print(f"{len(frames)} poses from the limbs learnt, vision agreed at all of {checked} checks; joints and zeros moved by "
           f"{np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS, known to {np.sqrt(np.mean(np.diag(learner.covariance))) * 1e3:.4f} mm RMS")
-    print(f"written: {state}")
+    print(f"written: {arguments.state}")
     return 0

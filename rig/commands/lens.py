@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_folder
+from rig.commands.output import Progress, add_force
 from rig.errors import RigError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
@@ -16,6 +16,7 @@ def arguments(parser):
     parser.add_argument("--legacy", action="store_true", help="the charuco's first square holds a marker (boards of OpenCV before 4.6, even rows)")
     parser.add_argument("--name", default="cam0", help="the camera's name in the block (%(default)s)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml")
+    add_force(parser)
 
 
 def run(arguments):
@@ -29,10 +30,11 @@ def run(arguments):
     paths = _paths(arguments.images)
     if not arguments.name or not arguments.name.isprintable() or '"' in arguments.name or "\\" in arguments.name:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
-    out = fresh_folder(arguments.out) if arguments.out else None
+    out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
     from calib.lens_page import lens_page
     from rig.design_file import camera_block
+    from rig.files import write_text
     from vision.photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())
@@ -49,9 +51,9 @@ def run(arguments):
           file=sys.stderr)
     print(block, end="")
     if out:
-        (out / "camera.toml").write_text(block, encoding="utf-8")
+        write_text(out / "camera.toml", block)
         lens_page(out / "lens.html", found)
-        print(f"written: {out}/camera.toml; look at {out}/lens.html", file=sys.stderr)
+        print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 
 def _model(terms):

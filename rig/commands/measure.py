@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_folder, print_unsolved
+from rig.commands.output import Progress, add_force, print_unsolved
 from rig.errors import RigError
 
 
@@ -14,6 +14,7 @@ def arguments(parser):
     parser.add_argument("--places", choices=("auto", "stated", "free"), default="auto", help="places of the markers on their bodies: as stated, "
                         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen")
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
+    add_force(parser)
 
 
 def run(arguments):
@@ -27,7 +28,7 @@ def run(arguments):
     if hold - {"poses", "lenses"}:
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
     recording = recordings.load(arguments.recording)
-    out = fresh_folder(arguments.out, recording.folder)
+    out = arguments.outputs.folder(arguments.out)
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page
@@ -69,7 +70,7 @@ def run(arguments):
         for suspect in wrong:
             print(f"  {suspect}")
     print_unsolved(measured)
-    print(f"written: {out}/poses.csv, corners.csv, rig.toml; look at {out}/report.html")
+    print(f"written: {arguments.out}/poses.csv, corners.csv, rig.toml; look at {arguments.out}/report.html")
 
 
 def _print_places(moved):

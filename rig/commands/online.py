@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_file, print_unsolved
+from rig.commands.output import Progress, print_unsolved
 from rig.errors import RigError
 
 MANY = 6  # changes beyond which they are not believed to be steps
@@ -23,7 +23,7 @@ def run(arguments):
     mechanism = recording.design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
-    state = fresh_file(arguments.state, recording.folder) if arguments.state else None
+    state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
 
     import numpy as np
 
@@ -32,8 +32,8 @@ def run(arguments):
     from calib.pipeline import sample_recording
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    goes_on = state is not None and state.exists()
-    learner = Online.load(state) if goes_on else None
+    goes_on = arguments.state is not None and arguments.state.exists()
+    learner = Online.load(arguments.state) if goes_on else None
     sampled = sample_recording(recording, progress=Progress())
     samples = sampled.samples
     shared = samples.common.shape[2]
@@ -65,7 +65,7 @@ def run(arguments):
     print_unsolved(sampled.measurement)
     if state is not None:
         learner.save(state)
-        print(f"written: {state}")
+        print(f"written: {arguments.state}")
 
 
 def _calibration(path, mechanism):

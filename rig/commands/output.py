@@ -1,8 +1,10 @@
 """What the commands share: where results go, bars on a terminal, and figures in mm and mrad."""
 
 import sys
+from argparse import ArgumentParser
+from pathlib import Path
 
-from rig.errors import RigError
+from rig.files import STANDARD_OUTPUT
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -30,28 +32,14 @@ class Progress:
         self.bar, self.label = None, None
 
 
-def fresh_folder(path, source=None):
-    """The folder path, made if need be. Raises RigError where it is a file, cannot be made, or is the folder `source`."""
-    if path.exists() and not path.is_dir():
-        raise RigError(f"{path} is a file; --out names a folder")
-    if source is not None and path.resolve() == source.resolve():
-        raise RigError(f"--out is the recording itself; it stays as it was, name another folder than {path}")
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RigError(f"{path} cannot be made: {error.strerror}") from None
-    return path
+def file_or_stdout(text: str) -> Path:
+    """The path of a file to write, as given on the command line: `-` is the standard output."""
+    return STANDARD_OUTPUT if text == "-" else Path(text)
 
 
-def fresh_file(path, source=None):
-    """The path of a file to write. Raises RigError for a folder, a folder that is not there, or a file of the recording `source`."""
-    if path.is_dir():
-        raise RigError(f"{path} is a folder; --out names a file")
-    if not path.parent.is_dir():
-        raise RigError(f"{path.parent} is no folder; make it first")
-    if source is not None and path.parent.resolve() == source.resolve() and path.suffix in (".csv", ".toml"):
-        raise RigError(f"--out {path} is a file of the recording, which stays as it was; name another")
-    return path
+def add_force(parser: ArgumentParser, name: str = "--force") -> None:
+    """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
+    parser.add_argument(name, dest="overwrite", action="store_true", help="write over what this command did not make; what it reads it never writes over")
 
 
 def print_comparison(held, title):

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, fresh_file
+from rig.commands.output import SEED, Progress, add_force, file_or_stdout
 from rig.errors import RigError
 
 SHOWN = 8  # combinations that are listed
@@ -23,7 +23,8 @@ def arguments(parser):
     parser.add_argument("--sigma", nargs=2, type=float, default=(1e-5, 1e-4), metavar=("M", "RAD"),
                         help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
+    add_force(parser)
 
 
 def run(arguments):
@@ -51,7 +52,7 @@ def _separate(arguments):
                        "rig diagnose's page")
     if design.mechanism.kind != "hexapod":
         raise RigError(f"plans to separate effects are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    out = fresh_file(arguments.out)
+    out = arguments.outputs.file(arguments.out)
     trials = []
     for text in (*MOVES, *(",".join(pair) for pair in combinations(MOVES, 2))):
         plan = build(design, text, SEED)
@@ -66,7 +67,7 @@ def _separate(arguments):
         print("no plan tried tells them apart at that size")
     writing.write_table(out, ("t", *design.mechanism.axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
                                                              for t, values in zip(plan.commands.t, plan.commands.values)])
-    print(f"best: {best.plan} (rig simulate --plan {best.plan} tries it); written: {out}")
+    print(f"best: {best.plan} (rig simulate --plan {best.plan} tries it); written: {arguments.out}")
 
 
 def _parameters(arguments):
@@ -77,7 +78,7 @@ def _parameters(arguments):
         raise RigError(f"plans for parameters are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     if arguments.count < 1 or min(arguments.sigma) <= 0:
         raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
-    out = fresh_file(arguments.out)
+    out = arguments.outputs.file(arguments.out)
 
     from calib import store
     from calib.exchange import choose
@@ -109,7 +110,7 @@ def _parameters(arguments):
     for part in (before if visited else after)[:SHOWN]:
         print(f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
               f"  {_sigma(part.sigma)}  {part.name}")
-    print(f"written: {out}")
+    print(f"written: {arguments.out}")
 
 
 def _along(root, direction):

@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from rig.commands.output import SEED, fresh_file
+from rig.commands.output import SEED, add_force, file_or_stdout
 from rig.errors import RigError
 
 STARTS = 24  # joint solutions of the pose from which self-motions are looked for
@@ -24,7 +24,8 @@ def arguments(parser):
     parser.add_argument("--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose")
     parser.add_argument("--motion", choices=("end", "way"), default="end", help="take the posture when the hand has arrived, or on its way")
     parser.add_argument("--speed", type=float, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="commands.csv of the motion into the posture")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture")
+    add_force(parser, "--overwrite")
     parser.add_argument("--json", action="store_true", help="print JSON (m, rad) instead of a table")
 
 
@@ -127,7 +128,7 @@ def _write(arguments, arm, now, start, goal):
     from rig import writing
     from rig.posture import motion
 
-    out = fresh_file(arguments.out)
+    out = arguments.outputs.file(arguments.out)
     rows = motion.on_the_way(now, goal, arm) if arguments.motion == "way" else motion.at_the_end(start, goal, arm)
     t = motion.timed(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]

@@ -2,14 +2,15 @@
 
 from pathlib import Path
 
-from rig.commands.output import fresh_file
+from rig.commands.output import add_force, file_or_stdout
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="a PDF, a sheet for each cube")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="a PDF, a sheet for each cube")
     parser.add_argument("--paper", default="A4", help="A4, A3, A2, A1 or A0; a net that is too large takes the next size")
+    add_force(parser)
 
 
 def run(arguments):
@@ -17,10 +18,10 @@ def run(arguments):
     from rig import design_file
 
     design = design_file.load(arguments.design)
-    out = fresh_file(arguments.out)
+    out = arguments.outputs.file(arguments.out)
 
     from synthetic.sheets import sheets
 
     for line in sheets(design, out, arguments.paper):
         print(line)
-    print(f"written: {out}. Print at 100 %, without fitting to the page, and hold a ruler to the ruler on each sheet.")
+    print(f"written: {arguments.out}. Print at 100 %, without fitting to the page, and hold a ruler to the ruler on each sheet.")

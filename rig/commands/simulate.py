@@ -3,7 +3,7 @@
 from dataclasses import fields, replace
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_file, fresh_folder
+from rig.commands.output import Progress, add_force
 from rig.errors import RigError
 
 SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, radius of a disc on top of it",
@@ -31,6 +31,7 @@ def arguments(parser):
     parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
     parser.add_argument("--background", choices=("plain", "cluttered"), default="plain")
     parser.add_argument("--compression", type=int, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
+    add_force(parser)
     for name, text in SENSOR.items():
         parser.add_argument("--" + name.replace("_", "-"), type=int if name in ("bits", "exposures") else float, help=text)
 
@@ -69,8 +70,9 @@ def run(arguments):
     else:
         secret = world.draw(design, rng, arguments.secret, effects)
     plan = build(design, arguments.plan, arguments.seed)
-    out = fresh_folder(arguments.out, arguments.design.parent if (arguments.design.parent / "frames.csv").exists() else None)
-    truth = fresh_file(arguments.truth) if arguments.truth else None
+    _places(arguments)
+    out = arguments.outputs.folder(arguments.out)
+    truth = arguments.outputs.file(arguments.truth) if arguments.truth else None
     done = simulation.simulate(secret, plan, rng)
     text = arguments.design.read_text(encoding="utf-8-sig")
     images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
@@ -80,8 +82,17 @@ def run(arguments):
         more = {"corners": simulation.truth_corners(done)} if images else {"noise_px": arguments.noise}
         world.write_truth(truth, secret, done.run.T_base_platform, seed=arguments.seed, **more)
     names = ", ".join(f"{effect.name} at {effect.place}" for effect in secret.effects) or "none"
-    where = f"{out}" + (f", truth in {truth}" if truth else "")
+    where = f"{arguments.out}" + (f", truth in {arguments.truth}" if truth else "")
     print(f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}; written: {where}")
+
+
+def _places(arguments):
+    """Protect what is read without being named as a path, and have the recording's manifest say nothing of its truth."""
+    outputs = arguments.outputs
+    if (arguments.design.parent / "frames.csv").exists():
+        outputs.inputs.append(arguments.design.parent)
+    outputs.inputs += [Path(part.removeprefix("commands:")) for part in arguments.plan.split(",") if part.startswith("commands:")]
+    outputs.arguments = (str(arguments.design), "--plan", arguments.plan)
 
 
 def _again(arguments):
@@ -94,7 +105,7 @@ def _again(arguments):
     if (arguments.source / "arm.json").exists():
         from synthetic import arm_again
 
-        count, effects = arm_again.write(arguments.source, fresh_folder(arguments.out, arguments.source), np.random.default_rng(arguments.seed))
+        count, effects = arm_again.write(arguments.source, arguments.outputs.folder(arguments.out), np.random.default_rng(arguments.seed))
         print(f"{count} poses, effects: {', '.join(effects) or 'none was found'}; written: {arguments.out / 'with'} and {arguments.out / 'without'}")
         return
 
@@ -103,7 +114,7 @@ def _again(arguments):
     from synthetic.pictures import Images
 
     done = again(arguments.source)
-    out = fresh_folder(arguments.out, arguments.source)
+    out = arguments.outputs.folder(arguments.out)
     sensor = next(iter(done.values())).world.true.sensor
     sensor = replace(sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
@@ -112,7 +123,7 @@ def _again(arguments):
     for kind, part in done.items():
         simulation.write(part, out / kind, text, np.random.default_rng(arguments.seed), arguments.noise, images)
     names = ", ".join(f"{effect.name} at {effect.place}" for effect in done["with"].world.effects) or "none was found"
-    print(f"{len(done['with'].plan.t)} frames, effects: {names}; written: {out / 'with'} and {out / 'without'}")
+    print(f"{len(done['with'].plan.t)} frames, effects: {names}; written: {arguments.out / 'with'} and {arguments.out / 'without'}")
 
 
 def _check(arguments, sensor):

@@ -2,31 +2,36 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, fresh_file
+from rig.commands.output import Progress, add_force, file_or_stdout
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--frame", type=int, required=True)
-    parser.add_argument("--out", metavar="FILE", type=Path, help="a PNG, written here; without it the picture is shown")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="a picture, written here; without it one named after the recording "
+                        "is written in the folder where you are, and shown")
+    add_force(parser)
     parser.add_argument("--enlarge", type=float, default=200.0, help="how much longer than they are residuals are drawn (default 200)")
 
 
 def run(arguments):
     """Draw one frame."""
-    import tempfile
     import webbrowser
 
     from rig import recording as recordings
 
     recording = recordings.load(arguments.recording)
-    out = fresh_file(arguments.out, recording.folder) if arguments.out else Path(tempfile.gettempdir()) / f"rig-frame-{arguments.frame}.png"
 
-    from vision.drawing import frame_picture, save
+    from vision.drawing import check_format, frame_picture, save
+
+    shown = arguments.out or Path(f"{recording.folder.resolve().name}-frame-{arguments.frame}.png")
+    check_format(shown)
+    out = arguments.outputs.file(shown)
 
     text = save(out, *frame_picture(recording, arguments.frame, arguments.enlarge, Progress()))
     print(text)
-    print(f"written: {out}")
-    if arguments.out is None and not webbrowser.open(out.resolve().as_uri()):
+    arguments.outputs.finish()
+    print(f"written: {shown}")
+    if arguments.out is None and not webbrowser.open(shown.resolve().as_uri()):
         print("there is no program here to show it; open the file yourself")
