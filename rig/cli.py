@@ -27,6 +27,7 @@ COMMANDS = {
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
+    "emulate": "A controller that is not there, at a pseudo-terminal or over TCP, with faults to order.",
     "plan": "Which configurations to visit so that what is asked becomes visible.",
     "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",
     "insitu": "Measuring limbs held against vision; once they pass, the struts learnt from their poses.",

@@ -205,7 +205,7 @@ class Driver:
                 raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately()}")
             if state.activity == "idle" and off <= self.controller.tolerance:
                 return True
-            if state.activity == "idle" and verdict.accepted is False:
+            if verdict.accepted is False:
                 raise ControllerFault(f"the move was refused: {verdict.reason}")
             if off < closest - NEARER:
                 closest, since = off, self.clock.now()

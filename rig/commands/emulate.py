@@ -1,0 +1,88 @@
+"""rig emulate RIG.toml --protocol P [--fault F]: a controller that is not there, at a real port."""
+
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    from rig.controller import PROTOCOLS
+
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("--protocol", choices=PROTOCOLS, help="by default what [controller] of the rig.toml says")
+    parser.add_argument("--fault", action="append", default=[], metavar="KIND[:RATE]",
+                        help="a fault seen in the field: once, at the next move, or at a rate per move; all:RATE for all kinds; may be repeated; "
+                             "--fault list names them")
+    parser.add_argument("--tcp", metavar="[HOST:]PORT", help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)")
+    parser.add_argument("--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
+    parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
+    parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
+    parser.add_argument("--seed", type=int, default=0, help="of the faults")
+
+
+def run(arguments):
+    """Serve until interrupted."""
+    from rig.emulator.faults import KINDS
+
+    if arguments.fault == ["list"]:
+        for kind, text in KINDS.items():
+            print(f"{kind:17} {text}")
+        return
+    from rig import emulator as emulators
+    from rig.clock import SystemClock
+    from rig.emulator import serve
+
+    clock = SystemClock()
+    emulator = built(arguments, clock)
+    wire = serve.Tcp(_address(arguments.tcp)) if arguments.tcp is not None else serve.Terminal(arguments.link)
+    history = emulators.History(emulator, arguments.history) if arguments.history else None
+    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(number, signal.default_int_handler)
+    try:
+        serve.serve(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
+    except KeyboardInterrupt:
+        print(f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}")
+    finally:
+        wire.close()
+        if history:
+            history.close()
+
+
+def built(arguments, clock):
+    """The Emulator that the arguments ask for."""
+    import numpy as np
+
+    from rig import design_file
+    from rig import emulator as emulators
+    from rig.emulator.faults import Faults, parse
+
+    if not arguments.speed > 0:
+        raise RigError(f"--speed must be above 0, not {arguments.speed:g}")
+    design = design_file.load(arguments.design)
+    if design.controller is None:
+        raise RigError(f"{arguments.design} has no [controller]; its speeds and zeros are what an emulator needs")
+    if arguments.protocol:
+        design = replace(design, controller=replace(design.controller, protocol=arguments.protocol))
+    faults = Faults(sum((parse(text) for text in arguments.fault), ()), np.random.default_rng(arguments.seed))
+    start = None
+    if arguments.start:
+        try:
+            start = np.array([float(word) for word in arguments.start.split(",")])
+        except ValueError:
+            raise RigError(f"--start takes numbers in m joined by commas, not {arguments.start!r}") from None
+    return emulators.of(design, faults, clock, start, arguments.speed)
+
+
+def _say(name):
+    print(f"port {name}", flush=True)
+
+
+def _address(text):
+    host, _, port = text.rpartition(":")
+    if not port.isdigit() or int(port) > 65535:
+        raise RigError(f"--tcp takes [HOST:]PORT, not {text!r}")
+    return host or "127.0.0.1", int(port)
