@@ -9,6 +9,7 @@ from rig.controller import Controller
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "DICT_ARUCO_ORIGINAL": 1024, "DICT_ARUCO_MIP_36h12": 250, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35,
@@ -172,6 +173,7 @@ class Camera:
     width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
     pose : T_base_camera, OpenCV axes; shutter "global" or "rolling"; row_time : s, for a rolling one
     mount : "fixed", or "moving" with a pose of its own in every frame
+    source : what a run opens it by, for example "uvc:0", or None; see rig.cameras.KINDS
     """
 
     name: str
@@ -183,6 +185,7 @@ class Camera:
     shutter: str = "global"
     row_time: float = 0.0
     mount: str = "fixed"
+    source: str | None = None
 
     def __post_init__(self):
         _set(self, "matrix", (3, 3))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
+from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
                         MeasuringLimbs, Planar2, Platform, Sensor, Target)
 from rig.errors import FileError
 from rig.pose import vector
@@ -171,8 +171,16 @@ def _cameras(tables):
         shutter = table.text("shutter", ("global", "rolling"), default="global")
         row_time = table.number("row_time", default=REQUIRED if shutter == "rolling" else 0.0, least=0, most=1, unit="s")
         cameras.append(Camera(name, table.whole("width", 1), table.whole("height", 1), matrix, distortion, table.pose("pose"), shutter,
-                              row_time, table.text("mount", ("fixed", "moving"), default="fixed")))
+                              row_time, table.text("mount", ("fixed", "moving"), default="fixed"), _source(table)))
     return tuple(cameras)
+
+
+def _source(table):
+    """What a camera is opened by, "KIND:PLACE", or None."""
+    source = table.text("source", default=None)
+    if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
+        table.fail(f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of {", ".join(SOURCES)}, not {source!r}', "source", value=source)
+    return source
 
 
 def _targets(tables):

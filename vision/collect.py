@@ -73,7 +73,7 @@ def collect(recording, marker_map, progress=None):
         return full, *search(eight, marker_map)
 
     whole = dict(zip(taught, _in_parallel(searched, taught, None)))
-    spread = {camera.name: _spread({k: whole[k] for k in taught if work[k][1] is camera}, camera, marker_map) for camera in
+    spread = {camera.name: learn_spread({k: whole[k] for k in taught if work[k][1] is camera}, camera, marker_map) for camera in
               {work[k][1].name: work[k][1] for k in taught}.values()}
 
     def placed(k):
@@ -84,7 +84,7 @@ def collect(recording, marker_map, progress=None):
     whole.clear()
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
-    known = expect.taught(recording, *_corners(rows), _left_out(rows), marker_map) if len(rest) > len(taught) else None
+    known = expect.taught(recording, *corners_of(rows), _left_out(rows), marker_map) if len(rest) > len(taught) else None
 
     def one(k, T=None):
         _, camera, name = work[k]
@@ -99,7 +99,7 @@ def collect(recording, marker_map, progress=None):
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
-    return Collected(*_corners(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
+    return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
 
 
 def _image(recording, camera, name):
@@ -122,7 +122,7 @@ def _one_after_the_other(work, rest, found, one, known, design, tell):
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
         out.update(zip(fresh, _in_parallel(lambda k, T=last: one(k, T), fresh, tell)))
-        last = known.locate(_corners([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
+        last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
 
@@ -136,7 +136,7 @@ def _left_out(rows):
     return [(frame, name, number, reason) for frame, name, d in rows for number, reason in d.left_out]
 
 
-def _spread(searched, camera, marker_map):
+def learn_spread(searched, camera, marker_map):
     """Spread of a camera's edges. searched : {image: (full, identities, corners to a pixel or so, left out)}"""
     def first(item):
         full, numbers, guess, _ = item
@@ -186,7 +186,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
         at = [numbers.tolist().index(number) for number in d.marker]
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
         found.append((frame, camera.name, d.take(near)))
-    extra, correlation = _corners(found)
+    extra, correlation = corners_of(found)
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
 
@@ -200,7 +200,7 @@ def _in_parallel(one, work, progress):
         cv2.setNumThreads(threads)
 
 
-def _corners(found):
+def corners_of(found):
     """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
     sizes = [len(d.marker) for *_, d in found]
     covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])

@@ -1,0 +1,57 @@
+"""A camera's clock against the host's: between two readings of ours lies one of theirs, so the offset is bounded; what many leave is it.
+
+Each pair of readings of the host's clock, before and after something that the camera stamped, says that offset = host - camera lies
+between them. Bounds of several meet in a narrower one (Cristian, Distributed Computing 3, 1989); old bounds widen with the drift
+that two clocks may have.
+"""
+
+import math
+from dataclasses import dataclass
+
+from rig.errors import RigError
+
+DRIFT = 1e-4  # s per s; two quartz clocks differ by less
+UNIFORM = math.sqrt(12.0)  # width of an even spread over its standard deviation
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """offset lies in low .. high (s), as known at host time t."""
+
+    t: float
+    low: float
+    high: float
+
+    def at(self, t: float) -> "Bound":
+        """The same at a later time, wider by what the clocks may have drifted."""
+        more = DRIFT * (t - self.t)
+        return Bound(t, self.low - more, self.high + more)
+
+
+class Offset:
+    """The offset host - camera of one camera's clock, learnt from its stamps. `restarts` counts how often its clock was found set anew."""
+
+    def __init__(self) -> None:
+        self.bound: Bound | None = None
+        self.restarts = 0
+
+    def learn(self, before: float, stamp: float, after: float) -> None:
+        """One stamp of the camera's clock (s), taken between two readings of the host's (s). Raises RigError for readings out of order."""
+        if after < before:
+            raise RigError(f"the host's clock ran backwards about a camera's stamp: {before!r} s, then {after!r} s")
+        fresh = Bound(after, before - stamp, after - stamp)
+        if self.bound is not None:
+            old = self.bound.at(after)
+            low, high = max(old.low, fresh.low), min(old.high, fresh.high)
+            if low <= high:
+                self.bound = Bound(after, low, high)
+                return
+            self.restarts += 1  # no offset satisfies both: the camera's clock was set anew
+        self.bound = fresh
+
+    def host(self, stamp: float, now: float) -> tuple[float, float]:
+        """(t, sigma) s: a stamp of the camera on the host's clock, and how well that is known. Raises RigError before any stamp."""
+        if self.bound is None:
+            raise RigError("the offset between the camera's clock and the host's is not known yet")
+        bound = self.bound.at(max(now, self.bound.t))
+        return stamp + (bound.low + bound.high) / 2, (bound.high - bound.low) / UNIFORM
