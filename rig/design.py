@@ -149,6 +149,17 @@ class MeasuringLimbs:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorPort:
+    """Where sensors beside the struts are read: port as pyserial opens it; ask : line that makes them answer, "" where they send by
+    themselves; channels : names as in sensors.csv, in the order of the numbers in a line."""
+
+    port: str
+    baudrate: int
+    ask: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Actuator:
     """screw_lead (m per revolution) or None, joints ("cardan-cardan", "cardan-ball") or None, max_speed (m/s) or None."""
 
@@ -251,7 +262,7 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
     """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
-    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven."""
+    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None."""
 
     name: str
     gravity: np.ndarray
@@ -264,6 +275,7 @@ class Design:
     sensor: Sensor = Sensor()
     insitu: MeasuringLimbs | None = None
     controller: Controller | None = None
+    sensors: SensorPort | None = None
 
     def camera(self, name):
         """The camera of that name. Raises ValueError with the names there are."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.controller import PROTOCOLS, Controller
 from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
-                        MeasuringLimbs, Planar2, Platform, Sensor, Target)
+                        MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
 from rig.errors import FileError
 from rig.pose import vector
 from rig.toml_positions import positions
@@ -41,7 +41,7 @@ def load(path):
 def _design(root):
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu", "controller"))
+                          "insitu", "controller", "sensors"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
@@ -51,7 +51,8 @@ def _design(root):
         actuator=actuator, platform=_platform(root.table("platform", optional=True)),
         cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
-        controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None)
+        controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
+        sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None)
 
 
 def _mechanism(table):
@@ -124,6 +125,15 @@ def _controller(table, mechanism, actuator):
         table.number("timeout", default=2.0, above=0, most=60, unit="s"), table.number("home_timeout", default=120.0, above=0, most=3600, unit="s"),
         table.number("watchdog", default=1.0, above=0, most=60, unit="s"), table.text("kinematics", ("joint", "world"), default="joint"),
         table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
+
+
+def _sensors(table):
+    table.refuse_misspelt([field.name for field in fields(SensorPort)])
+    channels = table.get("channels")
+    if not isinstance(channels, list) or not channels or not all(isinstance(name, str) and name.isidentifier() for name in channels) or (
+            len(set(channels)) != len(channels) or "t" in channels):
+        table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
+    return SensorPort(table.text("port"), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 
 def _platform(table):

@@ -16,9 +16,7 @@ from rig.growing import Growing
 from rig.journal import Arrival, Departure, Ended, Exposed, Homed, Journal, Readings, Remark, Resumed, Row, sync_folder
 from rig.progress import Progress, progress, verdict
 from rig.steps import Step
-
-Way = tuple[tuple[float, float], ...]
-
+from rig.way import Way
 
 class Machine(Protocol):
     """What the loop needs of a driver; see rig.driver.Driver."""

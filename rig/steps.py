@@ -9,6 +9,7 @@ from rig.errors import RigError, Unreachable
 from rig.plan import Plan
 
 STANDING = 1e-9  # m; commands that differ by less are one place
+INSTANT = 1e-6  # s about an exposure in which the struts must not move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,8 +34,8 @@ def steps(plan: Plan) -> tuple[Step, ...]:
     goals = rows[moved]
     exposed = np.zeros(len(goals), int)
     for t in plan.t:
-        after = min(int(np.searchsorted(plan.commands.t, t, side="left")), len(rows) - 1)
-        before = max(int(np.searchsorted(plan.commands.t, t, side="right")) - 1, 0)
+        after = min(int(np.searchsorted(plan.commands.t, t + INSTANT, side="left")), len(rows) - 1)
+        before = max(int(np.searchsorted(plan.commands.t, t - INSTANT, side="right")) - 1, 0)
         if place[after] != place[before]:
             raise RigError(f"the plan exposes at t = {t:g} s while the struts move; a run exposes where they stand (leave out moving and zigzag)")
         exposed[place[before]] += 1

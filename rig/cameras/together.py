@@ -22,9 +22,12 @@ class Shutter:
     def grab(self) -> dict[str, Frame]:
         """{camera: Frame}, exposed together as nearly as their triggers allow. Raises CameraError for all that gave none."""
         futures = [self._pool.submit(self._one, source) for source in self.sources]
-        failed = [str(future.exception()) for future in futures if future.exception() is not None]
-        if failed:
-            raise CameraError("; ".join(failed))
+        errors = [error for error in (future.exception() for future in futures) if error is not None]
+        for error in errors:
+            if not isinstance(error, CameraError):
+                raise error
+        if errors:
+            raise CameraError("; ".join(map(str, errors)))
         return {source.name: future.result() for source, future in zip(self.sources, futures)}
 
     def _one(self, source: Source) -> Frame:
