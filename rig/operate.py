@@ -163,13 +163,18 @@ class Operator:
         images = (lambda: [frame.image for frame in bench.shutter.grab().values()]) if bench.shutter else None
         bench.settling.wait(bench.clock, images, bench.limbs)
 
+    def _look(self) -> None:
+        """Sensors' readings written down; before and after an exposure, so that their log covers it."""
+        if self.bench.readings is not None:
+            values = self.bench.readings()
+            self.write(Readings(self.now(), tuple(values), tuple(values.values())))
+
     def _expose(self, index: int, number: int) -> None:
         """Grab a frame, put its images on disk, and then write that it is there."""
         bench = self.bench
+        self._look()
         frames = bench.shutter.grab() if bench.shutter else {}
-        if bench.readings is not None:
-            values = bench.readings()
-            self.write(Readings(self.now(), tuple(values), tuple(values.values())))
+        self._look()
         names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
         for camera, frame in frames.items():
             bench.save(self._folder / names[camera], frame.image)
