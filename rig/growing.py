@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.journal import Arrival, Began, Departure, Ended, Exposed, Homed, Readings, Resumed, Row, sync_folder
-from rig.writing import write_text
+from rig.files import write_text
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 AGREE = 1e-9  # m; nearer than this a strut has not moved
