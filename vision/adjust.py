@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.errors import NotEnoughData, RigError
-from vision.normal import linearise, normal_equations, reduce, step
+from vision.normal import linearise, normal_equations, promised, reduce, step
 from vision.observations import whitener
 from vision.predict import State, predict
 from vision.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
 
 MAX_ITERATIONS = 120
 CONVERGED = 1e-9  # relative decrease of the cost
+OPEN = 1e-14  # of the best determined direction's information; what has less is not determined
 MORE, LEAST = 3.0, 1e-8  # damping after a step that does not pay, over the one before; the first
 
 
@@ -66,7 +67,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     stated = state if stated is None else stated
     u, estimate = unknowns(observations, state, stated, free, worth)
     W = whitener(observations)
-    if 2 * len(observations) < int(u.used.sum()) + 6 * len(u.poses):
+    if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
     damping, cost, blocks = 0.0, None, None
     for _ in range(MAX_ITERATIONS):
@@ -77,9 +78,12 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
             blocks = normal_equations(observations, derivatives, residual, u, away)
             if progress:
                 progress(cost)
-        moved = move(estimate, u, *step(blocks, u, damping))
+        steps = step(blocks, u, damping)
+        moved = move(estimate, u, *steps)
         new = cost_of(observations, moved, stated, u, W)
-        if not new <= cost * (1 + 1e-12):
+        if not new <= cost:
+            if promised(blocks, *(step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
+                break  # at the bottom: what a step still promises drowns in the rounding of the cost
             damping = max(MORE * damping, LEAST)
             if damping > 1e8:
                 raise RigError(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
@@ -106,8 +110,7 @@ def _finish(observations, estimate, stated, u, W, free):
     away = offset(estimate, stated, u)
     blocks = normal_equations(observations, derivatives, residual, u, away)
     gain, reduced, _ = reduce(blocks)
-    inner = np.linalg.inv(u.basis.T @ reduced @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
-    factor = u.basis @ np.linalg.cholesky((inner + inner.T) / 2)
+    factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
     cost = float((residual**2).sum() + (u.prior * away**2).sum())
     own = factor * u.scale[:, None]
@@ -116,3 +119,14 @@ def _finish(observations, estimate, stated, u, W, free):
     uv, _ = predict(observations, estimate.state)
     return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own @ own.T, u.names,
                       np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
+
+
+def _inverse_root(information, u):
+    """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming what they leave open."""
+    if not len(information):
+        return np.zeros((0, 0))
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    if not values[0] > OPEN * values[-1]:
+        worst = np.argsort(-np.abs(u.basis @ vectors[:, 0]))[:3]
+        raise NotEnoughData("the images leave open where this is: " + ", ".join(" ".join(u.names[i]) for i in worst))
+    return vectors / np.sqrt(values)

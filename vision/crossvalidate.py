@@ -9,6 +9,7 @@ from vision.observations import only, whitener
 from vision.unknowns import offset, unknowns
 
 FOLDS = 10
+ALONE = 1e-9  # of the information in some direction; a stretch whose absence leaves less was the only one to tell it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +33,26 @@ class HeldOut:
         return self.chi2 / self.expected
 
 
+@dataclass(frozen=True, slots=True)
+class NotHeldOut:
+    """Why no stretch could be held out; falsy."""
+
+    reason: str
+
+    def __bool__(self):
+        return False
+
+
 def crossvalidate(observations, adjustment, folds=FOLDS):
-    """HeldOut over stretches of frames, each left out in turn and predicted from the others.
+    """HeldOut over stretches of frames, each left out in turn and predicted from the others; NotHeldOut where that takes more frames.
 
     observations : Observations that were adjusted; adjustment : their Adjustment
     Linear about the optimum: leaving a stretch out takes its share from the reduced normal equations, so nothing is adjusted
-    anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share.
+    anew. A frame's own poses are fitted to it, as they must be; what is tested is what frames share. A stretch without
+    which something shared would be open (a camera seen only there, say) is not asked for.
     """
+    if len(observations.frames) < 2:
+        return NotHeldOut("there is one frame alone, and nothing to predict it from")
     stated = adjustment.stated
     u, estimate = unknowns(observations, adjustment.state, stated, adjustment.free)
     away = offset(estimate, stated, u)
@@ -57,7 +71,11 @@ def crossvalidate(observations, adjustment, folds=FOLDS):
     total, drawn = sum(p[0] for p in parts) + prior, sum(p[1] for p in parts) + pull
     chi2 = expected = square = 0.0
     ratios = []
-    for reduced, right, left, dof, _ in parts:
+    root = np.linalg.inv(np.linalg.cholesky(u.basis.T @ total @ u.basis))
+    kept = [part for part in parts if not len(root) or np.linalg.eigvalsh(root @ u.basis.T @ (total - part[0]) @ u.basis @ root.T)[0] > ALONE]
+    if len(kept) < 2:
+        return NotHeldOut("every frame tells something of the cameras that no other does")
+    for reduced, right, left, dof, _ in kept:
         H, g = total - reduced, drawn - right
         inner = np.linalg.inv(u.basis.T @ H @ u.basis) if u.basis.shape[1] else np.zeros((0, 0))
         delta = u.basis @ (inner @ (u.basis.T @ g))
@@ -66,7 +84,7 @@ def crossvalidate(observations, adjustment, folds=FOLDS):
         here -= surprise @ np.linalg.solve(u.basis.T @ total @ u.basis, surprise)
         chi2, expected, square = chi2 + here, expected + dof, square + plain
         ratios.append(here / dof)
-    corners = sum(p[4] for p in parts)
+    corners = sum(p[4] for p in kept)
     mean = np.sqrt(np.median(np.einsum("nii->n", observations.covariance)) / 2)
-    scatter = float(np.std(ratios, ddof=1) / np.sqrt(len(ratios))) if len(ratios) > 1 else float("inf")
+    scatter = float(np.std(ratios, ddof=1) / np.sqrt(len(ratios)))
     return HeldOut(float(chi2), float(expected), scatter, float(mean * np.sqrt(square / (2 * corners))), corners)

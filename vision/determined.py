@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-POSE_WORTH = 0.01  # m, rad; what the stated pose of a camera is taken to be worth when its uncertainty is called large
+from vision.unknowns import POSE_WORTH
+
 UNDETERMINED = 0.5  # of what was stated; a combination that keeps more of its uncertainty owes it to its owner, not to the images
 ENTANGLED = 0.98  # correlation from which two unknowns are hardly told apart
 NAMED = 0.15  # share of a combination from which an unknown is named as part of it
@@ -67,6 +68,10 @@ def _held(adjustment, u):
     out += [f"the {name} frame is held by {together}" for on, name in ((False, "base"), (True, "platform")) if on in bodies]
     if False not in bodies:
         out.append("the base frame is held by the stated poses of the cameras")
+    for i in u.poses:
+        if u.prior[u.poses[i]].any():
+            out.append(f"camera {state.cameras[i].name!r} shows too little of the base to say where it stands: its stated pose is taken to be "
+                       f"worth {POSE_WORTH * 1e3:g} mm and {POSE_WORTH * 1e3:g} mrad")
     out += [f"{what} as stated" for columns, what in ((u.poses, "camera poses"), (u.lenses, "lenses"), (u.markers, "places of markers on their "
             "targets"), (u.targets, "places of targets")) if not columns]
     out.append("sides of markers as stated, which set the scale")

@@ -22,6 +22,8 @@ TERM_PRIOR = {"k1": 0.1, "k2": 0.3, "p1": 0.005, "p2": 0.005, "k3": 0.3, "k4": 0
               "s1": 0.005, "s2": 0.005, "s3": 0.005, "s4": 0.005, "tau_x": 0.01, "tau_y": 0.01}
 PLACE_PRIOR = (0.1, 0.1)  # of the marker's side, and rad: what the stated place of a marker or target is worth
 POSE_SCALE = 1e-3  # m, rad; only conditions the equations
+POSE_WORTH = 0.01  # m, rad; what the stated pose of a camera is worth where no base targets show where it stands
+ANCHORS = 2  # markers of the base that show it
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -76,7 +78,7 @@ def unknowns(observations, state, stated, free, worth=lens_prior):
         raise ValueError(f"free takes {GROUPS}, got {free}")
     if {"markers", "targets"} & set(free) and state.markers is None:
         raise ValueError("markers and targets can move only in a state that has its markers")
-    seen = set(observations.camera.tolist())
+    seen, anchored = set(observations.camera.tolist()), _anchored(observations)
     poses, lenses, local_poses, scale, prior, names = {}, {}, {}, [], [], []
     local = 6
 
@@ -93,7 +95,8 @@ def unknowns(observations, state, stated, free, worth=lens_prior):
             local_poses[i] = slice(local, local + 6)
             local += 6
         elif "poses" in free:
-            poses[i] = add(6, [POSE_SCALE] * 6, 0.0, [(camera.name, part) for part in PARTS])
+            scales, held = ([POSE_SCALE] * 6, 0.0) if i in anchored else ([POSE_WORTH] * 6, 1.0)
+            poses[i] = add(6, scales, held, [(camera.name, part) for part in PARTS])
         if "lenses" in free:
             terms = lens.terms(camera.distortion)
             lenses[i] = add(len(terms), worth(camera).tolist(), 1.0, [(camera.name, term) for term in terms])
@@ -116,6 +119,15 @@ def unknowns(observations, state, stated, free, worth=lens_prior):
     found = replace(found, basis=_basis(observations, state, found))
     start = Estimate(state, None, {name: _motion_of(name, state.markers, stated.markers, found) for name in targets})
     return found, replace(start, marker_moves=_marker_moves(start, stated, found)) if markers else start
+
+
+def _anchored(observations):
+    """{camera index} of those that show enough of the base's markers to say where they stand, all of them in a rig without any."""
+    base = np.unique(np.stack([observations.camera, observations.marker], axis=1)[~observations.on_platform], axis=0)
+    if not len(base):
+        return set(observations.camera.tolist())
+    cameras, count = np.unique(base[:, 0], return_counts=True)
+    return set(cameras[count >= ANCHORS].tolist())
 
 
 def _motion_of(name, markers, stated, unknowns):
@@ -225,8 +237,11 @@ def shifts(estimate, unknowns):
 
 
 def offset(estimate, stated, unknowns):
-    """(s,) how far lenses and places have moved from what was stated, in scaled units; 0 for cameras' poses."""
+    """(s,) how far lenses, places and cameras' poses that are held have moved from what was stated, in scaled units; 0 for other poses."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
+    for i, columns in unknowns.poses.items():
+        if unknowns.prior[columns].any():
+            out[columns] = log(stated.cameras[i].pose.inv() * cameras[i].pose)
     for i, columns in unknowns.lenses.items():
         matrix = cameras[i].matrix - stated.cameras[i].matrix
         out[columns] = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *(cameras[i].distortion - stated.cameras[i].distortion)]

@@ -60,7 +60,7 @@ def run(arguments):
         print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
     print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
-          f"{held.rms:.3f} px RMS over {held.corners} corners")
+          f"{held.rms:.3f} px RMS over {held.corners} corners" if held else f"no held-out figure: {held.reason}")
     for line in statement:
         print(line)
     if moved:
