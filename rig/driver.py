@@ -1,21 +1,23 @@
 """The one way by which struts move: checked before a byte leaves, watched until the read-back says done, stopped by whatever fails."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 import numpy as np
 
 from rig import mechanisms, path_check, protocols
 from rig.clock import Clock, SystemClock
 from rig.design import Design
-from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Stopped
+from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled
 from rig.link import Link, Port
 from rig.port import SerialPort, found
-from rig.protocols.base import Segment, State, Verdict
+from rig.protocols.base import Dialogue, Segment, State, Verdict
 
-PATIENCE = 30.0  # s of trying to connect anew
+T = TypeVar("T")
+PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
 POLL = 0.01  # s between looks at a moving rig
 STILL = 1.0  # s without coming nearer: standing
 NEARER = 1e-7  # m; less is noise of the read-back
@@ -83,7 +85,7 @@ class Driver:
         return self._status(state)
 
     def close(self) -> None:
-        """Let go of the port; a rig that moves is stopped first."""
+        """Let go of the port."""
         self.link.close()
 
     def status(self) -> Status:
@@ -132,18 +134,19 @@ class Driver:
         if not 0 < share <= 1:
             raise ValueError(f"share must be above 0 and at most 1, got {share}")
         target = path_check.check_lengths(lengths, self.mechanism)
-        with self._busy, self._guarded():
+        with self._busy:
             start = self._ready()
             self.check(target, start)
             begun = self.clock.now()
-            note = self._go(self._segment(start, target, share), target)
-            self._left = target
-            arrived = self.lengths()
+            with self._guarded():
+                note = self._go(self._segment(start, target, share), target)
+                self._left = arrived = self.lengths()
             return Arrival(arrived, begun, self.clock.now(), note)
 
     def stop(self) -> Status:
         """Stop every strut, from any thread; a move under way elsewhere ends with Stopped."""
-        self.link.interrupt()
+        with suppress(LinkLost):  # then connecting anew is tried below
+            self.link.interrupt()
         with self._busy:
             self.link.resume()
             self._halt()
@@ -151,16 +154,14 @@ class Driver:
 
     def _ready(self) -> np.ndarray:
         """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
-        if not self.link.run(self._protocol.fence()):
-            self._known = False
-            raise PositionLost("the controller has started anew since it was last spoken to; home, or say that its position is to be trusted")
+        self._same()
         state = self._state()
         if state.activity != "idle" or state.fault:
             raise ControllerFault(f"not ready to move: {state.fault or state.activity} ({state.said})")
         if not self._known:
             raise PositionLost("where the struts stand is not known; home, or say that the position is to be trusted")
         lengths = self._lengths(state)
-        if np.abs(lengths - self._left).max() > self.controller.tolerance:
+        if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
             self._known = False
             raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m")
         return lengths
@@ -181,66 +182,92 @@ class Driver:
         for _ in range(TRIES):
             try:
                 verdict = self.link.run(self._protocol.move(segment))
-                begun = self._watch(target, verdict)
             except LinkLost as error:
-                verdict, note = Verdict(None, str(error)), f"{error}; connected anew"
-                self._again()
-                begun = self._watch(target, verdict)
-            if begun:
+                verdict = Verdict(None, str(error))
+            if self._watch(target, verdict):
                 return note or ("" if verdict.accepted else f"lost reply, found done: {verdict.reason}")
-            self.link.run(self._protocol.fence())
             note = f"sent again, nothing had moved: {verdict.reason}"
             self._say(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
     def _watch(self, target: np.ndarray, verdict: Verdict) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
-        closest, since, first = np.inf, self.clock.now(), None
+        if verdict.accepted is False:
+            raise ControllerFault(f"the move was refused: {verdict.reason}")
+        begun = since = self.clock.now()
+        closest, first = np.inf, None
         while True:
             state = self._state()
             lengths = self._lengths(state)
             off = np.abs(lengths - target).max()
             first = lengths if first is None else first
+            if any(t >= begun and text == "restarted" for t, text in list(self.link.events)):
+                self._same()
             if state.fault or state.activity in ("alarm", "off", "held", "homing"):
-                raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately()}")
+                raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately(begun)}")
             if state.activity == "idle" and off <= self.controller.tolerance:
                 return True
-            if verdict.accepted is False:
-                raise ControllerFault(f"the move was refused: {verdict.reason}")
             if off < closest - NEARER:
                 closest, since = off, self.clock.now()
             elif self.clock.now() - since > STILL:
+                self._same()  # what was sent has been dealt with, and what is read now is no older answer
+                lengths = self.lengths()
+                if np.abs(lengths - target).max() < closest - NEARER:
+                    continue
                 if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - first).max() < self.controller.tolerance:
                     return False
                 raise Stalled(f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they were told to go "
-                              f"({state.said}){self._lately()}")
+                              f"({state.said}){self._lately(begun)}")
             self.clock.sleep(POLL)
 
-    def _again(self) -> None:
-        """Connect anew. Raises LinkLost where it stays lost, PositionLost where the controller has started anew."""
-        self._say("connection lost; connecting anew")
-        self.link.connect(PATIENCE)
-        same = self.link.run(self._protocol.fence())
-        self._say(f"connected anew: {self.link.run(self._protocol.hello())}")
+    def _same(self) -> None:
+        """Have all that was sent dealt with. Raises PositionLost where the controller has started anew."""
+        if not self._asked(self._protocol.fence):
+            self._known = False
+            raise PositionLost("the controller has started anew since it was last spoken to; home, or say that its position is to be trusted")
+
+    def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
+        """What a dialogue that moves nothing comes to, connecting anew where the connection is lost."""
+        try:
+            return self.link.run(question(), stoppable)
+        except LinkLost as error:
+            self._say(f"{error}; connecting anew")
+        self.link.connect(patience)
+        same = self.link.run(self._protocol.fence(), stoppable)
+        self._say(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
-            raise PositionLost("the controller has started anew; home, or say that its position is to be trusted")
+            raise PositionLost("the connection was lost and the controller has started anew; home, or say that its position is to be trusted")
+        return self.link.run(question(), stoppable)
 
-    def _guarded(self) -> "_Guard":
-        return _Guard(self._halt)
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Stops the struts when anything is raised within, an interrupt from the keyboard too."""
+        try:
+            yield
+        except BaseException as error:
+            try:
+                self._halt()
+            except MotionError as failed:
+                self._left = None
+                error.add_note(f"the struts could not be told to stop: {failed}")
+                self._say(error.__notes__[-1])
+            raise
 
     def _halt(self) -> None:
-        """Stop the struts, and keep where they stand."""
-        self.link.run(self._protocol.stop(), stoppable=False)
+        """Stop the struts, and note where they stand."""
+        self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE)
         state = self._state(stoppable=False)
         self._left = self._lengths(state)
+        if state.activity == "alarm":
+            self._known = False
 
     def _accepted(self, verdict: Verdict, what: str) -> None:
         if not verdict.accepted:
             raise ControllerFault(f"{what} failed: {verdict.reason}")
 
     def _state(self, stoppable: bool = True) -> State:
-        return self.link.run(self._protocol.state(), stoppable)
+        return self._asked(self._protocol.state, stoppable)
 
     def _lengths(self, state: State) -> np.ndarray:
         return state.positions + self.controller.zero
@@ -248,23 +275,5 @@ class Driver:
     def _status(self, state: State) -> Status:
         return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
 
-    def _lately(self) -> str:
-        return "".join(f"; {text}" for _, text in list(self.link.events)[-3:])
-
-
-class _Guard:
-    """Stops the struts when anything is raised, an interrupt from the keyboard too; says in the error where that failed as well."""
-
-    def __init__(self, halt: Callable[[], None]) -> None:
-        self._halt = halt
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind, error, trace) -> None:
-        if error is None:
-            return
-        try:
-            self._halt()
-        except (MotionError, Stopped) as failed:
-            error.add_note(f"and the struts could not be told to stop: {failed}")
+    def _lately(self, since: float) -> str:
+        return "".join(f"; {text}" for t, text in self.link.events if t >= since)

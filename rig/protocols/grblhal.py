@@ -100,7 +100,7 @@ class GrblHAL:
         for _ in range(int(HOLD / 0.05)):
             lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
             word = _STATUS.search(lines[-1])[1]
-            if word not in ("Run", "Jog", "Hold:1"):
+            if word != "Hold:1" and word.partition(":")[0] not in ("Run", "Jog"):
                 break
             yield Exchange(b"", lambda lines: False, 0.05)
         if word != "Idle":
