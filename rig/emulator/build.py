@@ -9,6 +9,7 @@ from rig.emulator.emulator import Emulator
 from rig.emulator.faults import Faults
 from rig.emulator.grblhal import GrblHAL
 from rig.emulator.machine import Machine
+from rig.emulator.struts import Struts
 from rig.errors import RigError
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
@@ -34,6 +35,8 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
     limits = m.strut_range - c.zero[:, None]
     if c.protocol == "grblhal":
         return GrblHAL(machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0})
+    if c.protocol == "struts":
+        return Struts(machine, faults, clock, limits)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

@@ -13,6 +13,7 @@ from rig.errors import LinkLost
 
 UNPLUGGED = 0.7  # s that the line is cut
 LATE = (0.3, 5.0)  # s
+LONGEST = 4096  # bytes kept of a line that does not end
 
 
 class Emulator:
@@ -65,9 +66,9 @@ class Emulator:
         self._run_due()
         kept = bytearray()
         for byte in data:
-            if not self.at_once(byte) and len(self._in) + len(kept) < self.buffer:
+            if not self.at_once(byte) and len(kept) < self.buffer:  # what comes in one go; in between it is read
                 kept.append(byte)
-        self._in += bytes(kept)
+        self._in = (self._in + bytes(kept))[-LONGEST:]
         while (cut := min((at for at in (self._in.find(end) for end in self.ends) if at >= 0), default=-1)) >= 0:
             line, self._in = self._in[:cut], self._in[cut + 1:]
             self.line(line)

@@ -56,6 +56,10 @@ class Machine:
         """What an axis is in error for, or ""."""
         return self._error[1] if t >= self._error[0] else ""
 
+    def fail(self, t: float, what: str) -> None:
+        """An axis is in error from now on."""
+        self._error = (t, what)
+
     def deafen(self, t: float) -> None:
         """Stop, and be in an error that only switching off and on ends."""
         self.halt(t)

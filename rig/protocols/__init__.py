@@ -3,10 +3,13 @@
 from rig.controller import Controller
 from rig.protocols.base import Protocol
 from rig.protocols.grblhal import GrblHAL
+from rig.protocols.struts import Struts
 
 
 def of(controller: Controller, count: int) -> Protocol:
     """The protocol of a controller that drives `count` axes."""
     if controller.protocol == "grblhal":
         return GrblHAL(controller.axes or tuple("XYZABC"[:count]))
+    if controller.protocol == "struts":
+        return Struts(count, controller.watchdog)
     raise ValueError(f"no protocol {controller.protocol!r}")
