@@ -9,6 +9,7 @@ from rig import design_file, table
 from rig.origin import Origin, decimal
 from rig.design import Design
 from rig.errors import FileError, RigError
+from rig.files import complete
 from rig.images import check_image
 from rig.observed import Corners, Poses, load_corners, load_poses
 
@@ -95,6 +96,7 @@ def load(folder):
     folder = Path(folder)
     if not folder.is_dir():
         raise FileError(folder, "is a file, not a recording folder" if folder.exists() else "no such folder")
+    complete(folder)
     if not any(folder.iterdir()):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load(folder / "rig.toml")

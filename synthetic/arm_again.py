@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from rig import table
 from rig.design_file import load
 from rig.errors import FileError
-from rig.files import write_text
+from rig.files import complete, write_text
 from rig.mechanisms import arm as mechanism
 from rig.pose import exp, pose, vector
 from rig.observed import POSE_COLUMNS
@@ -25,6 +25,7 @@ def drawn(folder):
     Raises FileError for files that are missing or malformed
     """
     path = folder / "arm.json"
+    complete(folder)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
         arm = replace(load(folder / "rig.toml").mechanism, joints=np.array(tree["joints"], float), base=pose(tree["base"][:3], tree["base"][3:]),

@@ -1,8 +1,6 @@
 """A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,7 +10,7 @@ from rig.design import Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.files import write_bytes
-from rig.processes import cores, gathered
+from rig.processes import cores, gathered, pool_of
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
@@ -57,7 +55,7 @@ def render(simulation, out, images, seed, progress=None):
     before = os.environ.get("LP_NUM_THREADS")
     os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
     try:
-        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (simulation, out, images, seed)) as pool:
+        with pool_of(count, "spawn", _start, (simulation, out, images, seed)) as pool:
             gathered(pool, _draw, work, progress)
     finally:
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)

@@ -66,6 +66,8 @@ class Renderer:
         except Exception as error:  # pyrender passes on whatever EGL raises
             raise MissingLibrary(f"no off-screen OpenGL context could be made ({error}); as root: apt-get install -y {PACKAGES}") from None
         self._without_multisampling()
+        # pyrender draws in a set's order, by where nodes lie in memory; where faces meet, the first drawn is what is seen
+        self.renderer._renderer._sorted_mesh_nodes = lambda _: self.nodes
 
     def close(self):
         """Give the OpenGL context back."""

@@ -4,10 +4,8 @@ Threads within the products of matrices as small as here cost more than they bri
 """
 
 import multiprocessing
-import signal
-from concurrent.futures import ProcessPoolExecutor
 
-from rig.processes import cores, gathered
+from rig.processes import cores, gathered, pool_of
 
 FEW = 4  # things for each process, below which it is not worth starting any
 
@@ -31,14 +29,10 @@ def each(function, things, progress=None):
         return out
     _inherited = function, things
     try:
-        with ProcessPoolExecutor(count, multiprocessing.get_context("fork"), _start) as pool:
+        with pool_of(count, "fork") as pool:
             return gathered(pool, _call, range(len(things)), progress)
     finally:
         _inherited = None
-
-
-def _start():
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
 
 
 def _call(i):

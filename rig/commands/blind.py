@@ -2,7 +2,7 @@
 
 import json
 import os
-import subprocess
+import re
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -12,10 +12,11 @@ from pathlib import Path
 
 from rig.commands.output import Progress, add_force
 from rig.errors import MissingLibrary, RigError
-from rig.processes import cores
+from rig.processes import cores, end_waiting, finished
 
-DIAGNOSE = ("import sys; from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[1]); sys.exit(main(sys.argv[2:]))")
-SEAL = "import json, sys; from rig.commands.blind import seal; seal(*json.loads(sys.argv[1]))"
+ALONE = "import sys; from rig.processes import end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
+DIAGNOSE = ALONE + "from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
+SEAL = ALONE + "import json; from rig.commands.blind import seal; seal(*json.loads(sys.argv[2]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
 INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
@@ -50,14 +51,17 @@ def run(arguments):
     for name in ("recordings", "seals", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
     with _pool(arguments.scheduler, arguments.jobs) as pool:
-        unsealed = [i for i in indices if not _seal(out, i).exists()]
+        unsealed = [i for i in indices if _digest(out, i) is None]
+        for index in unsealed:  # what was diagnosed of another drawing is no answer to this one
+            (out / "diagnoses" / f"{index:04d}.json").unlink(missing_ok=True)
         for _ in _each(pool, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
             pass
-        waiting = [i for i in indices if arguments.again or not _done(out, i)]
+        waiting = [i for i in indices if arguments.again or _record(out, i) is None]
         for index, _, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
             if error:
                 print(f"trial {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
-    known = sorted(int(path.stem) for path in (out / "seals").glob("*.sha256") if _done(out, int(path.stem)))
+    sealed = [int(path.stem) for path in (out / "seals").glob("*.sha256") if path.stem.isdigit()]
+    known = sorted(i for i in sealed if _digest(out, i) is not None and _record(out, i) is not None)
     cases = [_unsealed(out, i, score) for i in known]
     _report(out, settings, cases, score)
 
@@ -114,21 +118,22 @@ def seal(out, index, settings):
     """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
     from calib.diagnose.strength import strengths
     from rig import recording
-    from rig.files import write_text
+    from rig.files import Outputs, write_text
     from synthetic import blind
 
     out = Path(out)
     trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"])
     folder, truth, world = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json", trial.simulation.world
-    blind.write_recording(trial, folder)
-    values = strengths(recording.load(folder), world.true, trial.noise, world.effects, trial.simulation.sensors)
+    with Outputs("blind", force=True) as outputs:
+        staged = outputs.folder(folder)
+        blind.write_recording(trial, staged)
+        values = strengths(recording.load(staged), world.true, trial.noise, world.effects, trial.simulation.sensors)
     blind.write_truth(trial, truth, index=index, settings=settings, strengths=values.tolist())
     write_text(_seal(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
 
 
 def _sealed(out, index, settings):
-    done = subprocess.run([sys.executable, "-P", "-c", SEAL, json.dumps([out, index, settings])], capture_output=True, text=True,
-                          env=_environment())
+    done = finished([sys.executable, "-P", "-c", SEAL, str(os.getpid()), json.dumps([out, index, settings])], _environment())
     if done.returncode:
         raise RigError(f"trial {index} could not be sealed: {done.stderr.strip() or 'stopped'}")
 
@@ -142,8 +147,8 @@ def _diagnosed(out, index):
     (target / "diagnosis.json").unlink(missing_ok=True)
     record.unlink(missing_ok=True)
     start = time.monotonic()
-    command = [sys.executable, "-P", "-c", DIAGNOSE, out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target]
-    done = subprocess.run(command, capture_output=True, text=True, env=_environment())
+    command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target, "--force"]
+    done = finished(command, _environment())
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
         return index, seconds, "stopped; it will be diagnosed when the season goes on"
@@ -161,8 +166,28 @@ def _seal(out, index):
     return out / "seals" / f"{index:04d}.sha256"
 
 
-def _done(out, index):
-    return (out / "diagnoses" / f"{index:04d}.json").exists()
+def _digest(out: Path, index: int) -> str | None:
+    """What a trial's seal says, or None where there is none or it is torn, which is said: the trial is then sealed anew, the same by its seed."""
+    path = _seal(out, index)
+    if not path.exists():
+        return None
+    found = re.match(rb"[0-9a-f]{64}\b", path.read_bytes())
+    if found is None:
+        print(f"trial {index}: {path} holds no sha256; it is sealed anew", file=sys.stderr)
+    return found and found[0].decode()
+
+
+def _record(out: Path, index: int) -> dict | None:
+    """What is noted of a trial's diagnosis, or None where there is none or it is torn, which is said: the trial is then diagnosed anew."""
+    path = out / "diagnoses" / f"{index:04d}.json"
+    if not path.exists():
+        return None
+    try:
+        tree = json.loads(path.read_bytes())
+        return {"seconds": float(tree["seconds"]), "failed": tree["failed"]}
+    except (ValueError, KeyError, TypeError, RecursionError):
+        print(f"trial {index}: {path} is no record of a diagnosis; it is diagnosed anew", file=sys.stderr)
+        return None
 
 
 @contextmanager
@@ -172,6 +197,10 @@ def _pool(scheduler, jobs):
         pool = ThreadPoolExecutor(jobs)
         try:
             yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            end_waiting()
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
         return
@@ -202,8 +231,8 @@ def _each(pool, function, calls, label):
 
 def _unsealed(out, index, score):
     """score.Case of a trial. Raises RigError where the truth is not what was sealed."""
-    truth, record = out / "truth" / f"{index:04d}.json", json.loads((out / "diagnoses" / f"{index:04d}.json").read_text(encoding="utf-8"))
-    if not truth.exists() or sha256(truth.read_bytes()).hexdigest() != _seal(out, index).read_text(encoding="utf-8").split()[0]:
+    truth, record = out / "truth" / f"{index:04d}.json", _record(out, index)
+    if not truth.exists() or sha256(truth.read_bytes()).hexdigest() != _digest(out, index):
         raise RigError(f"{truth} is not what was sealed before the diagnosis; take the trial out of the season")
     diagnosis = None if record["failed"] else out / "diagnoses" / f"{index:04d}" / "diagnosis.json"
     return score.case(index, truth, diagnosis, record["seconds"], record["failed"])

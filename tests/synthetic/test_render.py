@@ -111,3 +111,17 @@ def test_a_lens_that_cannot_be_undone_is_refused(design, opengl):
     folding = replace(design.cameras[0], distortion=np.array([-3.0, 0, 0, 0, 0]))
     with pytest.raises(ValueError, match="cannot be undone"):
         render.Renderer([], replace(design, cameras=(folding,)))
+
+
+def test_the_same_picture_whatever_lies_where_in_memory(opengl, design):
+    """Where two faces meet, which of them is seen must not hang on the order in which a set keeps what is drawn."""
+    small = replace(design, cameras=(replace(design.cameras[0], width=640, height=512, matrix=design.cameras[0].matrix * [[0.5], [0.5], [1]]),))
+    pictures, kept = [], []
+    for k in range(3):
+        kept.append([object() for _ in range(1 + 997 * k)])
+        renderer = render.Renderer(scene.parts(small), small)
+        try:
+            pictures.append(renderer.draw(small.cameras[0].name, small.mechanism.home).tobytes())
+        finally:
+            renderer.close()
+    assert pictures[0] == pictures[1] == pictures[2]
