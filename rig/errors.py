@@ -4,6 +4,10 @@
 class RigError(Exception):
     """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
 
+    def __reduce__(self):
+        """What one process hands another of it, whatever the kind's constructor takes."""
+        return _handed, (type(self), self.args, vars(self))
+
 
 class FileError(RigError):
     """Outside data that cannot be used: names the file, the line and the column (both from 1), and the value.
@@ -74,3 +78,9 @@ class PositionLost(MotionError):
 
 class Stopped(MotionError):
     """A motion that was stopped because somebody asked."""
+
+
+def _handed(kind, arguments, attributes):
+    error = kind.__new__(kind, *arguments)
+    vars(error).update(attributes)
+    return error

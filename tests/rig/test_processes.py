@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from rig.errors import RigError
+from rig.errors import FileError, NotConverged, RigError
 from rig.processes import cores, finished, pool_of
 from tests.conftest import ROOT
 
@@ -90,9 +90,17 @@ def test_a_worker_that_is_ended_is_said_in_a_line(method):
         pool.submit(os._exit, 9).result()
 
 
-def test_what_a_worker_raises_passes():
-    with pytest.raises(ZeroDivisionError), pool_of(1, "fork") as pool:
-        pool.submit(divmod, 1, 0).result()
+def fail(kind):
+    raise {"file": FileError("x.csv", "is wrong", 3, 4, "value"), "pose": NotConverged("no pose", [1], [[2.0]], [3.0])}[kind]
+
+
+def test_what_a_worker_raises_is_raised_with_all_it_says():
+    with pytest.raises(FileError, match="x.csv:3:4: is wrong") as raised, pool_of(1, "fork") as pool:
+        pool.submit(fail, "file").result()
+    assert (raised.value.path, raised.value.line, raised.value.column, raised.value.value) == ("x.csv", 3, 4, "value")
+    with pytest.raises(NotConverged, match="no pose") as raised, pool_of(1, "fork") as pool:
+        pool.submit(fail, "pose").result()
+    assert raised.value.residual == [3.0]
 
 
 def test_a_finished_child_gives_its_output_and_status():
