@@ -1,17 +1,21 @@
 """Commands through time, with effects -> poses: the one forward model of motion, for the simulator and the diagnosis alike."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
-from rig.effects.base import Motion, Path
-from rig.errors import NotConverged
+from rig.design import Design
+from rig.effects.base import Effect
+from rig.effects.motion import Motion, Path
+from rig.errors import NotConverged, RigError
 from rig.pose import difference, exp
+from rig.recording import Commands, Sensors
 
 MAX_ITERATIONS = 50
-TOLERANCE = 1e-12  # m; of the fixed point between a pose and what depends on it
+TOLERANCE = 1e-12  # m or rad; of the fixed point between a pose and what depends on it
 ABOUT = 0.02  # s; before and after an exposure, for its velocity
 
 
@@ -19,7 +23,7 @@ ABOUT = 0.02  # s; before and after an exposure, for its velocity
 class Run:
     """What a machine did at n exposures.
 
-    T_base_platform : RigidTransform (n,); deviation : (n, axes) m the struts were longer than commanded
+    T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
     rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
     """
 
@@ -29,7 +33,7 @@ class Run:
     curvature: np.ndarray | None = None
 
 
-def motion(design, commands, t, effects=(), sensors=None):
+def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
     """Motion of a design (as it really is) at exposures logged at t (n,) s: clock and path as the effects make them.
 
     commands : Commands; effects : Effects; sensors : Sensors or None
@@ -41,24 +45,28 @@ def motion(design, commands, t, effects=(), sensors=None):
     lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
     path = Path(knots, lengths, np.searchsorted(knots, t))
     for effect in effects:
-        path = effect.follow(path)
-    m = design.mechanism
-    home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
-    return Motion(m, design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
+        path = effect.follow(path, mechanisms.places(design.mechanism))
+    home = mechanisms.of(design.mechanism).home(design.mechanism)
+    return Motion(design.mechanism, design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
 
 
-def run(design, commands, t, effects=(), sensors=None, rates=False):
+def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,
+        rates: bool = False) -> Run:
     """Run of a machine under commands, with effects.
 
     design : Design as it really is; commands : Commands; t : (n,) s, exposures as logged; effects : Effects, acting together
     sensors : Sensors with the channels that some effects need; rates : whether velocities are wanted too
-    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none, and what
-    `forward` raises.
+    Effects that depend on the pose are solved with it as a fixed point. Raises NotConverged where there is none, RigError for an effect
+    that the machine or its recording lacks something for, and what `forward` raises.
     """
     if rates:
         return _with_rates(design, commands, np.asarray(t, float), effects, sensors)
     state = motion(design, commands, t, effects, sensors)
     module, m = mechanisms.of(design.mechanism), design.mechanism
+    for effect in effects:
+        reason = effect.needs(state)
+        if reason:
+            raise RigError(f"{effect.name} {reason}")
     fixed = sum((e.deviation(state) for e in effects if not e.on_pose), np.zeros(state.lengths.shape))
     T = module.forward(state.lengths + fixed, m)
     deviation = fixed
@@ -79,7 +87,7 @@ def run(design, commands, t, effects=(), sensors=None, rates=False):
     return Run(T * exp(sway) if sway.any() else T, deviation)
 
 
-def _with_rates(design, commands, t, effects, sensors):
+def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None) -> Run:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")
     done = run(design, commands, around[order], effects, sensors)

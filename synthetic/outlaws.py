@@ -60,7 +60,7 @@ class BendingStrut(Effect):
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
         level = 1 - (struts @ motion.gravity / np.linalg.norm(motion.gravity) / length) ** 2
-        return -self.struts() * self.size * level * (length / motion.home) ** 7
+        return -self.axes(motion.places) * self.size * level * (length / motion.home) ** 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class Crosstalk(Effect):
     places: ClassVar = ("strut",)
 
     def deviation(self, motion):
-        return self.struts() * self.share * (motion.lengths - motion.home)[:, [self.other - 1]]
+        return self.axes(motion.places) * self.share * (motion.lengths - motion.home)[:, [self.other - 1]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class SlippingClutch(Effect):
     places: ClassVar = ("strut",)
 
     def deviation(self, motion):
-        return -self.struts() * self.share * motion.path.way
+        return -self.axes(motion.places) * self.share * motion.path.way
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,7 +90,7 @@ def families(arms, only=None, without=()):
         if not _asked(name, None, only, without):
             continue
         if name in REASONS or name not in USUAL or (name == "thermal_expansion" and "ambient_temperature_C" not in arms.channels):
-            if {"strut", "rig", "clock"} & set(kind.places):
+            if {"axis", "rig", "clock"} & set(kind.places):
                 skipped.append(Skipped(name, REASONS.get(name, "the recording does not hold what it needs" if name in USUAL else
                                                          "it has no meaning at an arm's joints")))
             continue

@@ -105,7 +105,7 @@ class Knowledge:
 
     def run(self, effects):
         """machine.Run with rates where some camera exposes row by row, else None."""
-        rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.name == "rolling_shutter" for e in effects)
+        rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
         return machine.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
             if rolls and self.commands is not None else None
 

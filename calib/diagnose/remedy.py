@@ -1,32 +1,5 @@
 """What an owner can do about each effect of the catalogue, in a sentence."""
 
-REMEDIES = {
-    "scale_error": "Enter the strut's scale in the controller (steps per millimetre), or have its screw's lead certified.",
-    "cyclic_error": "Look at the screw's thrust bearing and coupling for run-out; a table of one turn in the controller takes it out.",
-    "transmission_error": "Put the profile into the controller's table of pitch errors, or exchange the screw.",
-    "backlash": "Preload or exchange the nut and its bearings; until then approach every pose from the same side.",
-    "hysteresis": "Look for friction with elastic wind-up in the drive train; until then approach every pose from the same side.",
-    "missed_steps": "Home the strut; then look for an overload, a loose coupling or a current set too low at that moment.",
-    "servo_lag": "Raise the drive's gain or feed its speed forward; poses at rest are not touched.",
-    "creep": "Dwell longer before measuring, by a few time constants; look for a soft joint or a drive that settles late.",
-    "thermal_expansion": "Let the machine reach its temperature, or correct lengths by the logged temperatures.",
-    "warm_up": "Let the machine warm up before use, and log the struts' temperatures so that it can be corrected.",
-    "screw_coupling": "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn.",
-    "compliance": "Correct lengths by the load, or look for a soft mount; calibrate with the load that the machine will carry.",
-    "joint_clearance": "Preload or exchange that strut's joints; until then keep its load from changing sign.",
-    "base_expansion": "Keep the room's temperature, or correct the base joints by it.",
-    "vibration": "Find what shakes at that frequency (pump, fan, floor) and decouple the rig, or expose for whole periods.",
-    "time_offset": "Trigger cameras and controller from one clock, or shift the exposures' times.",
-    "clock_drift": "Trigger cameras and controller from one clock.",
-    "lens_distortion": "Calibrate that lens with more terms; what is fitted here already corrects this recording.",
-    "focal_drift": "Keep the cameras' temperature or let them warm up; log it so that it can be corrected.",
-    "camera_drift": "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view.",
-    "camera_bump": "Clamp the mount; poses from before and after that moment need a camera pose of their own.",
-    "rolling_shutter": 'State shutter = "rolling" and row_time in rig.toml, or expose at rest.',
-    "refraction": "Take the window away or state it; it must be square to the camera to be modelled.",
-    "edge_bias": "Lower the exposure and focus anew; the detector's threshold or the printer's ink moves every edge.",
-    "print_scale": "Measure a printed sheet with a caliper and state the true side of the markers.",
-    "face_misplacement": "Glue that face anew or leave its marker out of rig.toml.",
-    "cube_misplacement": "Seat that cube anew, or measure it and state its true pose.",
-    "marker_swap": "Correct the faces of that cube in rig.toml.",
-}
+from rig.effects import ALL
+
+REMEDIES = {kind.name: kind.action_at("strut 1") for kind in ALL}

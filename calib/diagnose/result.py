@@ -17,6 +17,7 @@ from calib.diagnose.unknown import unknowns
 from rig.origin import Origin
 from rig.effects import BY_NAME
 from rig.effects.face_misplacement import FaceMisplacement
+from rig.effects.marker_swap import MarkerSwap
 from rig.effects.parse import to_dict as effect_dict
 from rig.pose import vector
 from rig.files import write_text
@@ -63,7 +64,7 @@ def diagnose(recording, only=None, without=(), progress=None, calibration=None):
     faces = FaceMisplacement.name not in without and (not only or FaceMisplacement.name in only)
     knowledge, source, measured = known.of_recording(recording, progress, calibration, "auto" if faces else "stated")
     moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
-    swapped = swaps(knowledge) if "marker_swap" not in without and (not only or "marker_swap" in only) else []
+    swapped = swaps(knowledge) if MarkerSwap.name not in without and (not only or MarkerSwap.name in only) else []
     knowledge = within_reach(exchanged(knowledge, swapped))
     asked, skipped = families(knowledge, only, without)
     signatures = Signatures(knowledge)
@@ -148,7 +149,7 @@ def _finding(diagnosis, finding, proof):
     parameters = {name: {"value": value, "unit": units[name], "ci95": [low, high]}
                   for name, (value, low, high) in settled.intervals(finding.number).items()}
     for p in effect.parameters:
-        if p.role in ("moment", "choice") and getattr(effect, p.name) > -1e8:
+        if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
             value = getattr(effect, p.name)
             parameters[p.name] = {"value": value, "unit": p.unit} if p.role == "choice" else _moment(settled.knowledge.t, value, diagnosis.origin)
     return {"effect": effect.name, "place": effect.place, "parameters": parameters,

@@ -62,7 +62,7 @@ class Score:
         scalars = [p for p in self.family.kind.parameters if p.size == 1 and p.name in asked and p.role in ("linear", "inverse", "size")]
         sharp = max(np.sqrt(max(self.drop, 0.0) / max(len(scalars), 1)), 1.0)
         cost = sum(_prior_cost(p, getattr(self.effect, p.name), sharp) for p in scalars)
-        cost += np.log(size) * (len(self.coefficients) - sum(p.role != "size" for p in scalars))
+        cost += np.log(size) * (len(self.coefficients) - self.family.tied - sum(p.role != "size" for p in scalars))
         searched = {p.name for p in self.family.kind.parameters if p.role in ("log", "even", "moment")} & set(self.shape)
         if searched and len(self.curve) > 1:
             cost -= 2 * np.log(np.mean(np.exp((self.curve - self.curve.max()) / 2)))

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
+from scipy.stats import chi2
 
 from calib.diagnose import scan
 from calib.diagnose.forked import each
 from calib.diagnose.planes import Column
 from calib.diagnose.scan import Score
 from rig.effects.base import Effect
+from rig.effects.vibration import one_direction
 from vision.derivatives import derivatives
 
 FREQUENCIES = 8  # bins of the coarse spectrum for each cycle that the highest frequency makes
@@ -29,7 +31,7 @@ def search(planes, families, signatures, progress=None):
     mounts, held = {}, set(signatures.pixels)
 
     def ask(family):
-        if family.kind.name == "vibration":
+        if "frequency" in {p.role for p in family.kind.parameters}:
             score = _vibration(planes, family, struts)
         elif family.plane == "struts":
             score = _strutwise(planes, family, signatures, struts, motion)
@@ -53,14 +55,14 @@ def search(planes, families, signatures, progress=None):
 def column_of(planes, family, shape, signatures, motion=None):
     """Column (k = linear parameters, or 1) of one shape of a family: its signature in both planes."""
     k = planes.knowledge
-    if family.kind.name == "vibration":
+    if "frequency" in {p.role for p in family.kind.parameters}:
         return Column(None, planes.whitened(_wave(planes, family, np.array([shape["frequency"]]))[0]))
     if family.plane == "struts":
         return Column(None, planes.whitened(signatures.deviation(family, shape, motion or k.motion(k.effects))))
     if family.kind.mount is not Effect.mount:
         pixels = mount_pixels(planes, family.place) * _weight(planes, family, shape)[k.seen.observations.frame][:, None, None]
         return planes.fold(pixels)
-    return planes.fold(signatures.corners(*signatures.seen(family)))
+    return planes.fold(signatures.corners(*signatures.seen(family, shape)))
 
 
 def mount_pixels(planes, place):
@@ -100,10 +102,23 @@ def _weight(planes, family, shape):
 
 
 def _viewed(planes, family, signatures):
-    atoms = scan.view_atoms(planes, signatures.corners(*signatures.seen(family)))
+    if len(family.shapes) > 1:
+        return _shaped(planes, family, signatures)
+    atoms = scan.view_atoms(planes, signatures.corners(*signatures.seen(family, family.shapes[0])))
     drops, coefficients, rank, seen = scan.solve(*scan.stepwise(atoms, np.ones((1, planes.frames))))
     weights = np.broadcast_to(np.eye(atoms.beta.shape[1]), atoms.gamma.shape)
     return _score(planes, family, 0, drops, coefficients, rank, seen, atoms, weights)
+
+
+def _shaped(planes, family, signatures):
+    """Of one linear parameter at several shapes: a column for each, and each taken alone."""
+    parts = [signatures.seen(family, shape) for shape in family.shapes]
+    atoms = scan.view_atoms(planes, signatures.corners(parts[0][0], np.concatenate([quads for _, quads in parts], axis=-1)))
+    count = len(family.shapes)
+    weights = np.broadcast_to(np.eye(count)[:, None, :, None], (count, planes.frames, count, 1))
+    drops, coefficients, rank, seen = scan.solve(*scan.framewise(atoms, weights))
+    best = int(np.argmax(drops))
+    return _score(planes, family, best, drops, coefficients, rank, seen, atoms, weights[best])
 
 
 def _score(planes, family, best, drops, coefficients, rank, seen, atoms, weights):
@@ -116,46 +131,47 @@ def _score(planes, family, best, drops, coefficients, rank, seen, atoms, weights
 
 
 def _wave(planes, family, frequencies):
-    """(k, F, a, 2) m of struts under the sine and cosine of frequencies (k,) Hz in the family's mode."""
+    """(k, F, a, 12) m of struts under the sine, then the cosine of frequencies (k,) Hz along each of six directions."""
     k = planes.knowledge
-    unit = family.kind(family.place, amplitude=1.0, frequency=0.25, mode=family.shapes[0]["mode"])
-    still = k.motion(())
-    mode = k.swayed(unit.sway(type(still)(still.mechanism, still.platform, still.actuator, still.gravity, np.ones(len(k.t)), still.path,
-                                          still.sensors, still.home, still.T)))
+    modes = np.stack([k.swayed(np.tile(unit, (len(k.t), 1))) for unit in np.eye(6)], axis=-1)
     angle = 2 * np.pi * frequencies[:, None] * k.t
-    return mode[None, :, :, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)[:, :, None, :]
+    return np.concatenate([np.sin(angle)[:, :, None, None] * modes, np.cos(angle)[:, :, None, None] * modes], axis=-1)
 
 
 def _vibration(planes, family, atoms):
-    """A coarse spectrum of the mode over all frequencies, then the exact drop about its greatest peaks."""
+    """A coarse spectrum of all directions over all frequencies, then the exact drop of one direction about its greatest peaks."""
     k = planes.knowledge
     parameter = next(p for p in family.kind.parameters if p.role == "frequency")
     low, high = parameter.usual
-    mode = _wave(planes, family, np.zeros(1))[0, :, :, 1]
-    beta, power = np.einsum("fa,fa->f", mode, atoms.beta), np.einsum("fa,fab,fb->f", mode, atoms.gamma, mode).sum()
+    modes = _wave(planes, family, np.zeros(1))[0, :, :, 6:]
+    beta, power = np.einsum("fad,fa->fd", modes, atoms.beta), np.einsum("fad,fab,fbe->de", modes, atoms.gamma, modes)
+    half = np.linalg.cholesky(np.linalg.inv(power + 1e-9 * np.diag(np.diag(power))))
     length = np.ptp(k.t) + 1e-9
     tick = _tick(k.t)
     high = min(high, 0.5 / tick)
     bins = int(2 ** np.ceil(np.log2(max(length * OVERSAMPLED, 1) * high * FREQUENCIES / OVERSAMPLED)))
     step = length * OVERSAMPLED / bins
-    series = np.bincount(np.rint((k.t - k.t[0]) / step).astype(int), weights=beta, minlength=bins)[:bins]
-    spectrum = 2 * np.abs(np.fft.rfft(series, bins)) ** 2 / power
+    at = np.rint((k.t - k.t[0]) / step).astype(int)
+    spectrum = sum(2 * np.abs(np.fft.rfft(np.bincount(at, weights=series, minlength=bins)[:bins], bins)) ** 2 for series in (beta @ half).T)
     frequency = np.fft.rfftfreq(bins, step)
-    window = np.abs(np.fft.rfft(np.bincount(np.rint((k.t - k.t[0]) / step).astype(int), minlength=bins)[:bins], bins)) / len(k.t)
+    window = np.abs(np.fft.rfft(np.bincount(at, minlength=bins)[:bins], bins)) / len(k.t)
     slow = maximum_filter1d((window > ALIAS).astype(float), 2 * SLOWEST * OVERSAMPLED + 1) > 0  # looks like a drift, or like none
     inside = (frequency >= max(low, SLOWEST / length)) & (frequency <= high) & ~slow
+    freedom = len(family.linear) - family.tied + family.extra
     if not inside.any():
-        return Score(family, {**family.shapes[0], "frequency": low}, np.zeros(2), 0.0, 1.0, 2 + family.extra, 1.0, 0.0, np.zeros(1))
+        return Score(family, {**family.shapes[0], "frequency": low}, np.zeros(12), 0.0, 1.0, freedom, 1.0, 0.0, np.zeros(1))
     spectrum, frequency = spectrum[inside], frequency[inside]
     peaks = np.argsort(-spectrum)[: scan.PEAKS]
     near = np.unique(np.concatenate([frequency[p] + np.linspace(-1, 1, 21) / (OVERSAMPLED * length) for p in peaks]))
-    drops, coefficients, rank, seen = scan.solve(*scan.framewise(atoms, _wave(planes, family, near)))
+    b, G, raw = scan.framewise(atoms, _wave(planes, family, near))
+    drops, coefficients = (np.array(part) for part in zip(*(one_direction(*pair) for pair in zip(b, G))))
     best = int(np.argmax(drops))
+    seen = scan.solve(b[best : best + 1], G[best : best + 1], raw[best : best + 1])[3]
     spread, _ = scan.dispersion(planes, atoms, _wave(planes, family, near[best : best + 1])[0], coefficients[best])
     drop = drops[best] / spread
-    p = min(1.0, length * high * np.exp(-drop / 2))
-    return Score(family, {**family.shapes[0], "frequency": float(near[best])}, coefficients[best], float(drop), float(p), 2 + family.extra,
-                 spread, float(seen[best]), drops / spread)
+    p = min(1.0, length * high * float(chi2.sf(drop, freedom - family.extra)))
+    return Score(family, {**family.shapes[0], "frequency": float(near[best])}, coefficients[best], float(drop), float(p), freedom,
+                 spread, float(seen[0]), drops / spread)
 
 
 def _tick(t):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import null_space
 
 from calib.diagnose.corners import edges_of, standing
 from calib.diagnose.knowledge import Knowledge, moved
@@ -14,8 +15,7 @@ from rig.pose import exp
 MAX_ITERATIONS = 8
 SMALL = 0.02  # standard deviations; a step below settles a parameter
 HALVINGS = 8
-ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
-SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
+ENOUGH, SLACK = 0.3, 0.05  # of the cost; an iteration that gains less is the last; what rounding and clipped corners make uneven
 LOOSE = 3.0  # times the greatest usual size: what a number of a vector may be before anything is measured
 SWALLOWED = 0.15  # the same for a lens, whose terms and warps a camera's pose and stated lens take up almost whole
 Z95 = 1.959964  # normal quantile of a 95 % interval
@@ -107,7 +107,8 @@ def admit(settled, score, signatures):
     else:
         by = {p.name: p for p in score.family.kind.parameters}
         loose = [_loose(by[name], index) if name in by else 0.0 for name, index, _ in score.family.linear]
-        step = _step(planes, parts, np.r_[_priors(settled.coordinates, k.effects), loose], np.r_[settled.values, np.zeros(len(loose))])[0]
+        step = _step(planes, parts, np.r_[_priors(settled.coordinates, k.effects), loose], np.r_[settled.values, np.zeros(len(loose))],
+                     _kept(settled.coordinates, k.effects, len(loose)))[0]
         theta = step[len(settled.coordinates) :]
     effects = list(k.effects)
     for c, s in zip(settled.coordinates, step):
@@ -146,7 +147,7 @@ def resettle(knowledge, signatures):
     coordinates, column = tangents(planes, signatures)
     for _ in range(MAX_ITERATIONS):
         priors, values = _priors(coordinates, knowledge.effects), [c.read(knowledge.effects[c.effect]) for c in coordinates]
-        step, covariance = _step(planes, column, priors, np.array(values))
+        step, covariance = _step(planes, column, priors, np.array(values), _kept(coordinates, knowledge.effects))
         new, planes_new = _try(planes, coordinates, step, column)
         if new is None:
             break
@@ -156,7 +157,7 @@ def resettle(knowledge, signatures):
         if (np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all() and gained < 1 or gained < ENOUGH:
             break
     values = np.array([c.read(knowledge.effects[c.effect]) for c in coordinates])
-    _, covariance = _step(planes, column, _priors(coordinates, knowledge.effects), values)
+    _, covariance = _step(planes, column, _priors(coordinates, knowledge.effects), values, _kept(coordinates, knowledge.effects))
     return Settled(knowledge, planes, coordinates, values, covariance, column)
 
 
@@ -166,21 +167,14 @@ def tangents(planes, signatures):
     signatures = signatures.at(k)
     for number, effect in enumerate(k.effects):
         for p in effect.parameters:
-            value = getattr(effect, p.name)
-            if p.role in ("moment", "choice") or (p.name == "since" and value < -1e8):
-                continue
-            for index in range(len(value)) if isinstance(value, tuple) else (None,):
-                if effect.name == "lens_distortion" and not value[index]:
-                    continue
-                if effect.name == "lens_distortion" and p.name == "terms" and effect.warp:
-                    continue
+            for index in effect.fitted(p):
                 size = np.sqrt(p.usual[0] * p.usual[1]) if p.usual[0] > 0 else 0.1
                 step = {"inverse": 1e-3 / size, "log": 1e-3, "size": 1e-2 * size, "phase": 1e-3, "even": 1e-5, "frequency": 1e-8}.get(
                     p.role, 1e-2 * size)
                 coordinates.append(Coordinate(number, p.name, index, p.role, step))
     for number, effect in enumerate(k.effects):
         own = [c for c in coordinates if c.effect == number]
-        if effect.stage in ("targets", "view") and type(effect).mount is Effect.mount and own:
+        if effect.stage in ("targets", "view") and type(effect).mount is Effect.mount and own and all(c.role == "linear" for c in own):
             pixels = [signatures.corners(*_still(effect, c, signatures)) for c in own]
             parts.append(planes.fold(np.concatenate(pixels, axis=2)))
             continue
@@ -197,7 +191,8 @@ def _still(effect, c, signatures):
     """(sightings, (s, 4, 2, 1) px per unit) of a linear parameter of a view effect that is the same in every frame."""
     parameter = next(p for p in effect.parameters if p.name == c.name)
     length = len(getattr(effect, c.name)) if c.index is not None and not parameter.size else None
-    rows, quads = signatures.derivative(type(effect), effect.place, c.name, c.index, c.step, length)
+    shape = {p.name: getattr(effect, p.name) for p in effect.parameters if p.role != "linear"}
+    rows, quads = signatures.derivative(type(effect), effect.place, c.name, c.index, c.step, length, shape)
     return rows, quads[..., None]
 
 
@@ -212,16 +207,17 @@ def joined(parts, rows, local, frames):
     return Column(image, np.column_stack([part.struts for part in parts]), inner)
 
 
-def _step(planes, column, priors, values):
-    """Step (c,) of the effects' coordinates and its covariance (c, c). priors : (c,) 1 / standard deviation; values : (c,) now"""
+def _step(planes, column, priors, values, kept):
+    """Step (c,) of the effects' coordinates and its covariance (c, c). priors : (c,) 1 / standard deviation; values : (c,) now; kept : (k, c)"""
     if column is None:
         return np.zeros(0), np.zeros((0, 0))
     _, b, G = planes.project(column)
     b, G = b - priors**2 * values, G + np.diag(priors**2)
     scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
-    kept = values > 1e-11 * max(values[-1], 1e-300)
-    half = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    open_ = null_space(kept / scale) if len(kept) else np.eye(len(G))
+    values, vectors = np.linalg.eigh(open_.T @ (G / scale[:, None] / scale) @ open_)
+    there = values > 1e-11 * max(values[-1], 1e-300)
+    half = open_ @ (vectors[:, there] / np.sqrt(values[there])) / scale[:, None]
     return half @ (half.T @ b), half @ half.T
 
 
@@ -231,6 +227,14 @@ def _priors(coordinates, effects):
     return np.array([_loose(p, c.index) for p, c in zip(by, coordinates)])
 
 
+def _kept(coordinates, effects, more=0):
+    """(k, c + more) sums of coordinates that effects ask to be kept; more : columns of what is to be admitted."""
+    own = [[row.get((c.name, c.index), 0.0) * (c.effect == number) for c in coordinates] + [0.0] * more
+           for number, effect in enumerate(effects) for row in effect.kept()]
+    own = [row for row in own if any(row)]
+    return np.array(own).reshape(len(own), len(coordinates) + more)
+
+
 def _held(effects):
     """What the priors on vectors cost."""
     return float(sum(np.sum((np.asarray(getattr(e, p.name)) * _loose(p, 0)) ** 2) for e in effects for p in e.parameters
@@ -238,7 +242,7 @@ def _held(effects):
 
 
 def _loose(parameter, index):
-    return 0.0 if index is None else 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])
+    return 0.0 if index is None or parameter.role == "direction" else 1 / ((SWALLOWED if parameter.name in ("terms", "warp") else LOOSE) * parameter.usual[1])
 
 
 def _try(planes, coordinates, step, column):
@@ -250,7 +254,7 @@ def _try(planes, coordinates, step, column):
         try:
             for c, s in zip(coordinates, step):
                 effects[c.effect] = c.written(effects[c.effect], c.read(k.effects[c.effect]) + share * s)
-            effects = [check(effect) for effect in effects]
+            effects = [check(effect.written()) for effect in effects]
         except ValueError:
             continue
         z = planes.at_rest - (planes.project(column)[0] @ (share * step) if column is not None else 0)

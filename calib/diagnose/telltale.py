@@ -4,7 +4,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rig.effects.base import REFERENCE_TEMPERATURE
-from rig.effects.kinetics import axial_forces, cardan_twist
 
 BINS = 14  # of the covariate, with as many residuals each
 BEFORE, AFTER = "tab:red", "tab:blue"
@@ -49,20 +48,20 @@ def telltale(settled, number):
         x, label, y = _strut_view(effect, k, struts_before, struts_after)
         return _scatter(x, label, [v * 1e6 for v in y], "strut, µm" if k.design.mechanism.kind != "arm" else "joint, µrad")
     own = _own(effect, k)
-    if effect.name in ("lens_distortion", "refraction"):
+    if effect.view == "map":
         return residual_map(k, own, (image_before, image_after))
-    if effect.name in ("camera_drift", "camera_bump"):
+    if effect.view == "time":
         frame = k.seen.observations.frame[own]
         along = _mean(frame, image_before[own] - image_after[own])
         way = along[np.argmax(np.linalg.norm(along, axis=1))]
         way = way / max(np.linalg.norm(way), 1e-12)
         return _scatter(k.t[np.unique(frame)] / 60, "time, min", [_mean(frame, v[own] @ way) for v in (image_before, image_after)],
                         "mean of a picture's corners, px")
-    if effect.name == "focal_drift":
+    if effect.view == "scale":
         return _focal(effect, k, own, image_before, image_after)
-    if effect.name in ("edge_bias", "print_scale"):
+    if effect.view == "outward":
         return _outward(k, own, image_before, image_after)
-    if effect.name in ("face_misplacement", "cube_misplacement"):
+    if effect.view in ("markers", "targets"):
         return _bars(effect, k, image_before, image_after)
     way = image_before[own] - image_after[own]
     size = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
@@ -73,55 +72,15 @@ def telltale(settled, number):
 def _strut_view(effect, k, before, after):
     """(covariate (m,), its label, [residuals (m,) before, after]) of an effect of the struts."""
     motion = k.motion(tuple(e for e in k.effects if e is not effect))
-    at = np.flatnonzero(effect.struts(k.axes) > 0) if effect.place.split(" ")[0] in ("strut", "rig", "joint") else np.arange(k.axes)
-    at = at if len(at) else np.arange(k.axes)
-    if effect.name == "vibration":
-        shape = k.swayed(effect.sway(motion))
-        sine = np.sin(2 * np.pi * effect.frequency * motion.t + effect.phase)
-        mode = shape / np.where(np.abs(sine) > 1e-6, sine, np.inf)[:, None]
+    covariate, direction = effect.covariate(motion), effect.direction(motion)
+    if direction is not None:
+        mode = k.swayed(direction)
         size = np.maximum((mode**2).sum(axis=1), 1e-300)
-        top = np.sqrt(size.max())
-        return (effect.frequency * motion.t) % 1, "phase of the shaking, turns", [(mode * v).sum(axis=1) / size * top for v in (before, after)]
-    x, label = _covariate(effect, k, motion)
+        return covariate.values, covariate.label, [(mode * v).sum(axis=1) / size * np.sqrt(size.max()) for v in (before, after)]
+    at = np.arange(k.axes) if effect.place == "clock" else np.flatnonzero(effect.axes(motion.places) > 0)
+    x = covariate.values
     x = np.broadcast_to(x if x.ndim == 2 else x[:, None], before.shape)
-    return x[:, at].ravel(), label, [before[:, at].ravel(), after[:, at].ravel()]
-
-
-def _covariate(effect, k, motion):
-    """((F,) or (F, axes) covariate, its label) that gives a strut effect away."""
-    name, path = effect.name, motion.path
-    if name in ("scale_error", "transmission_error"):
-        return (motion.lengths - motion.home) * 1e3, "stroke from home, mm"
-    if name == "cyclic_error" and motion.actuator.screw_lead:
-        return (effect.order * motion.lengths / motion.actuator.screw_lead) % 1, "turn of the screw times order"
-    if name in ("backlash", "hysteresis"):
-        return _since_reversal(path) * 1e3, "travel since the last reversal (negative: inward), mm"
-    if name in ("missed_steps", "warm_up"):
-        return k.t / 60, "time, min"
-    if name in ("servo_lag", "time_offset"):
-        return path.speed * 1e3, "speed of the strut, mm/s"
-    if name == "clock_drift":
-        return path.speed * motion.t[:, None], "speed times time, m"
-    if name == "thermal_expansion":
-        warm = np.stack([motion.channel(f"strut{i + 1}_temperature_C") for i in range(k.axes)], axis=1)
-        return warm, "temperature of the strut, C"
-    if name == "base_expansion":
-        return motion.channel("ambient_temperature_C"), "temperature of the room, C"
-    if name == "screw_coupling":
-        m = motion.mechanism
-        return np.degrees(cardan_twist(motion.T, m) - cardan_twist(m.home, m)), "twist of the cardans, degrees"
-    if name in ("compliance", "joint_clearance"):
-        return axial_forces(motion), "axial force, N (positive: the strut pushes)"
-    return effect.deviation(motion) * 1e6, "what the model says, µm"
-
-
-def _since_reversal(path):
-    """(n, axes) m each strut has moved since it last turned round, signed by the direction."""
-    step = np.diff(path.lengths, axis=0, prepend=path.lengths[:1])
-    out = np.zeros_like(step)
-    for j in range(1, len(step)):
-        out[j] = np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
-    return out[path.at]
+    return x[:, at].ravel(), covariate.label, [before[:, at].ravel(), after[:, at].ravel()]
 
 
 def _own(effect, k):
@@ -173,7 +132,7 @@ def _outward(k, own, before, after):
 def _bars(effect, k, before, after):
     """Residuals of every marker or target of the same body."""
     o = k.seen.observations
-    by_target = effect.name == "cube_misplacement"
+    by_target = effect.view == "targets"
     names = np.array(k.seen.markers.target if by_target else [str(i) for i in k.seen.markers.id])[o.marker]
     labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
     figure = Figure(figsize=(11, 2.6), layout="constrained")

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.diagnose.hypotheses import Family
+from calib.diagnose.hypotheses import Family, context_of
 from calib.diagnose.planes import Column
 from calib.diagnose.scan import Rival, Score
 from calib.diagnose.select import beside, freed, stands
 from calib.diagnose.settle import joined
 from calib.diagnose.smooth import SLOW, cosines
-from rig.effects.base import REFERENCE_TEMPERATURE
+from rig.effects.base import AXES, REFERENCE_TEMPERATURE
 from rig.effects.base_expansion import BaseExpansion
 from rig.effects.focal_drift import FocalDrift
 from rig.effects.thermal_expansion import ThermalExpansion
@@ -29,7 +29,7 @@ def unlogged(selection, signatures):
     kinds = [kind for kind in WARM if (k.axes if kind.stage != "view" else k.seen is not None)]
     findings = []
     for f in selection.findings:
-        asked = [(kind, place) for kind in kinds for place in _places(kind, f.score.family.place) if _lacking(k, _followed(k, kind, place))]
+        asked = [(kind, place) for kind in kinds for place in _places(kind, f.score.family.place) if _lacking(k, kind.follows(place, context_of(k)))]
         if not asked:
             findings.append(f)
             continue
@@ -52,7 +52,7 @@ def widened(settled):
     """Settled whose covariance holds what the temperatures' own errors add, see `weather.smoothed`."""
     k, parts = settled.knowledge, []
     channels = {next(name for name in names if name in k.sensors.channels)
-                for e in k.effects if type(e) in WARM for names in _followed(k, type(e), e.place)}
+                for e in k.effects if type(e) in WARM for names in type(e).follows(e.place, context_of(k))}
     for channel in sorted(channels & k.log_errors.keys()):
         for error in k.log_errors[channel].T:
             course = {**k.sensors.channels, channel: k.sensors.channels[channel] + error}
@@ -77,17 +77,9 @@ def _both(a, b):
 
 def _places(kind, place):
     """Where an effect may sit that looks like a finding at a place: all over, or just there."""
-    return [at for at in kind.places if at not in ("strut", "camera")] + [place] * (place.split(" ")[0] in kind.places and " " in place)
-
-
-def _followed(k, kind, place):
-    """[channels] of temperatures that an effect follows at a place, any one of each."""
-    part = place.partition(" ")[2]
-    if kind is ThermalExpansion:
-        return [(f"strut{i}_temperature_C",) for i in ([part] if part else range(1, k.axes + 1))]
-    if kind is BaseExpansion:
-        return [("ambient_temperature_C",)]
-    return [(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in ([part] if part else [c.name for c in k.design.cameras])]
+    at = place.split(" ")[0]
+    own = at in kind.places or (at in AXES and "axis" in kind.places)
+    return [whole for whole in kind.places if whole not in ("axis", "camera")] + [place] * (own and " " in place)
 
 
 def _lacking(k, followed):
@@ -101,7 +93,7 @@ def _courses(planes, kind, place):
     order = np.argsort(k.t)
     logged = {name: k.sensors.at(k.t[order], name) for name in k.sensors.channels} if k.sensors is not None else {}
     for course in cosines(k.t, SLOW).T:
-        warmth = {channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in _followed(k, kind, place)}
+        warmth = {channels[0]: REFERENCE_TEMPERATURE + course[order] for channels in kind.follows(place, context_of(k))}
         known = replace(k, sensors=Sensors(k.t[order], {**logged, **warmth}))
         effect = kind(place, **{kind.parameters[0].name: STEP})
         if kind.stage == "view":

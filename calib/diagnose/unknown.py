@@ -9,6 +9,7 @@ from calib.diagnose import scan
 from calib.diagnose.corners import MEDIAN
 from calib.diagnose.prove import corner_noise
 from calib.diagnose.smooth import FAST, SLOW, in_time, marker_pixels, strut_weights, view_pixels, warp_pixels
+from rig.effects.lens_distortion import LensDistortion
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
@@ -84,7 +85,7 @@ def _cameras(planes):
             atoms = scan.view_atoms(planes, view_pixels(planes, place))
             out += [_tested(planes, atoms, in_time(k, cosines), place, "px", ("time",), information) for cosines in (SLOW, FAST)]
             out.append(_following(atoms, np.argsort(k.t), place, information))
-        if any(e.name == "lens_distortion" and e.place == place for e in k.effects):
+        if any(type(e) is LensDistortion and e.place == place for e in k.effects):
             continue  # what its image still bends by belongs to the lens that was named
         out.append(_still(planes, warp_pixels(k, i), place, "image position", information))
     return out

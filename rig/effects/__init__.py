@@ -1,6 +1,8 @@
 """The catalogue of left-out physics: adding a file and a line here adds an effect everywhere."""
 
+from rig.effects.axis_coupling import AxisCoupling
 from rig.effects.backlash import Backlash
+from rig.effects.base import Effect
 from rig.effects.base_expansion import BaseExpansion
 from rig.effects.camera_bump import CameraBump
 from rig.effects.camera_drift import CameraDrift
@@ -23,13 +25,15 @@ from rig.effects.rolling_shutter import RollingShutter
 from rig.effects.scale_error import ScaleError
 from rig.effects.screw_coupling import ScrewCoupling
 from rig.effects.servo_lag import ServoLag
+from rig.effects.settling_error import SettlingError
 from rig.effects.thermal_expansion import ThermalExpansion
 from rig.effects.time_offset import TimeOffset
 from rig.effects.transmission_error import TransmissionError
 from rig.effects.vibration import Vibration
 from rig.effects.warm_up import WarmUp
 
-ALL = (ScaleError, CyclicError, TransmissionError, Backlash, Hysteresis, MissedSteps, ServoLag, Creep, ThermalExpansion, WarmUp,
+ALL: tuple[type[Effect], ...] = (ScaleError, CyclicError, TransmissionError, Backlash, Hysteresis, MissedSteps, ServoLag, Creep, ThermalExpansion, WarmUp,
        ScrewCoupling, Compliance, JointClearance, BaseExpansion, Vibration, TimeOffset, ClockDrift, LensDistortion, FocalDrift,
-       CameraDrift, CameraBump, RollingShutter, Refraction, EdgeBias, PrintScale, FaceMisplacement, CubeMisplacement, MarkerSwap)
-BY_NAME = {effect.name: effect for effect in ALL}
+       CameraDrift, CameraBump, RollingShutter, Refraction, EdgeBias, PrintScale, FaceMisplacement, CubeMisplacement, MarkerSwap, AxisCoupling,
+       SettlingError)
+BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}

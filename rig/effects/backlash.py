@@ -1,23 +1,30 @@
-"""Lost motion: the strut follows its command only once the gap is taken up."""
+"""Lost motion: the axis follows its command only once the gap is taken up."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.base import Effect, Parameter
-from rig.effects.play import play
+import numpy as np
+
+from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.covariate import Covariate, travel
+from rig.effects.play import behind
 
 
 @dataclass(frozen=True, slots=True)
 class Backlash(Effect):
-    """Play operator of width gap on the length, over the whole path. Positive: a strut driven outward stays half a gap short."""
+    """Play operator of width gap on the command, over the whole path. Positive: an axis driven outward stays half a gap short."""
 
     place: str
     gap: float = 0.0
     name: ClassVar = "backlash"
     stage: ClassVar = "struts"
-    places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size"),)
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size", joint=((0, 5e-2), (2e-5, 5e-3))),)
     experiment: ClassVar = "a ladder of reversal amplitudes: every length approached from both sides"
+    action: ClassVar = "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
 
-    def deviation(self, motion):
-        return self.struts() * (play(motion.path.lengths, self.gap / 2) - motion.path.lengths)[motion.path.at]
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * behind(motion, self.gap / 2)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.path.since_reversal, motion, "travel since the last reversal (negative: inward)")

@@ -1,106 +1,44 @@
 """What an effect is: a name, a place, parameters with units and bounds, and a hook at the stage where it acts.
 
-Stages, in the order in which a command becomes a corner: `command` (what the struts are told, and when), `struts` (what their
-lengths do beyond that), `structure` (what the frame and platform do), `targets` (where markers sit), `view` (what a camera
-makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
+Stages, in the order in which a command becomes a corner: `command` (what the axes are told, and when), `struts` (what the axes,
+struts or joints, do beyond that), `structure` (what the frame and platform do), `targets` (where markers sit), `view` (what a
+camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
 """
 
 import re
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import fields
+from itertools import product
+from typing import Any, Self
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
+from rig.design import Camera
+from rig.effects.candidate import COUNT, QUADRATURE, Candidate, Linear
+from rig.effects.context import Context
+from rig.effects.covariate import Covariate
+from rig.effects.grid import grid, step
+from rig.effects.motion import SOON, Motion, Path
+from rig.effects.parameter import Parameter
 from rig.errors import RigError
 
-SOON = 1e-6  # s; knots that lie closer together are one
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """name; unit; bounds : (low, high) that make sense; usual : (low, high) that rigs show; size : numbers it has, 0 for any
-    signed : whether minus what is usual is as usual.
-
-    role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
-    (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a shape's
-    parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's start), "frequency", "choice"
-    (a whole number)
-    """
-
-    name: str
-    unit: str
-    bounds: tuple[float, float]
-    usual: tuple[float, float]
-    size: int = 1
-    role: str = "linear"
-    signed: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Path:
-    """Commanded lengths through time, linear between knots: t (m,) s, lengths (m, axes); at : (n,) the knots of the exposures."""
-
-    t: np.ndarray
-    lengths: np.ndarray
-    at: np.ndarray
-
-    def with_knots(self, times):
-        """The same path with knots added at times (k,) s."""
-        t = np.union1d(self.t, times)
-        lengths = np.stack([np.interp(t, self.t, column) for column in self.lengths.T], axis=1)
-        return Path(t, lengths, np.searchsorted(t, self.t[self.at]))
-
-    @property
-    def speed(self):
-        """(n, axes) m/s at which the struts come to the exposures."""
-        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
-        return (step / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None])[self.at]
-
-    @property
-    def way(self):
-        """(n, axes) m that the struts have travelled by the exposures, whichever way."""
-        return np.abs(np.diff(self.lengths, axis=0, prepend=self.lengths[:1])).cumsum(axis=0)[self.at]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """All that a strut or structure effect may look at, at the n exposures.
-
-    mechanism : Hexapod as it really is; platform : Platform; actuator : Actuator; gravity : (3,) m/s^2, base frame
-    t : (n,) s from the recording's start, on the commands' clock; path : Path of the commands, clock and lags applied
-    sensors : Sensors or None; home : (axes,) m, commanded lengths at home
-    T : T_base_platform (n,), the present estimate, for effects that depend on the pose
-    """
-
-    mechanism: object
-    platform: object
-    actuator: object
-    gravity: np.ndarray
-    t: np.ndarray
-    path: Path
-    sensors: object
-    home: np.ndarray
-    T: RigidTransform | None
-
-    @property
-    def lengths(self):
-        """(n, axes) commanded lengths at the exposures, m."""
-        return self.path.lengths[self.path.at]
-
-    def channel(self, name):
-        """(n,) a sensor's channel at the exposures. Raises RigError where the recording lacks it."""
-        if self.sensors is None:
-            raise RigError(f"the model needs a sensor channel {name!r}, and the recording has no sensors.csv")
-        return self.sensors.at(self.t, name)
-
-    def payload(self):
-        """(n,) kg on the platform; 0 where nobody logged any."""
-        return self.channel("payload_mass_kg") if self.sensors is not None and "payload_mass_kg" in self.sensors.channels else np.zeros(len(self.t))
+AXES = ("strut", "joint")  # what "axis" stands for among an effect's places
+MOTION_STAGES = ("command", "struts", "structure")
+AT_REST = 1e-9  # m/s or rad/s
 
 
 class Effect:
-    """Base of all effects. name, stage, places (kinds of place it can sit at), parameters, experiment : what would expose it."""
+    """Base of all effects.
+
+    name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would expose it
+    action : what an owner can do about it, "{axis}" standing for strut or joint
+    on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
+    discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
+    rolls : rows of an image are exposed one after the other; form : "harmonic" or "step" where the model is of that simple form
+    own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would be the first
+    view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
+    """
 
     __slots__ = ()
     name = ""
@@ -108,75 +46,207 @@ class Effect:
     places: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     experiment = ""
-    on_pose = False  # whether its deviation depends on the pose
-    sudden = False  # whether it happens at one time, and may be over soon
+    action = ""
+    on_pose = False
+    sudden = False
+    discrete = False
+    moving = False
+    rolls = False
+    form: str | None = None
+    own_axis = 0
+    once = False
+    view = "displacement"
 
-    def times(self, t):
+    def needs(self, motion: Motion) -> str | None:
+        """What a machine or its recording lacks for this effect, in words that follow its name; None where it has all."""
+        return None
+
+    def times(self, t: np.ndarray) -> np.ndarray:
         """(n,) s on the commands' clock at which exposures logged at t (n,) really happened."""
         return t
 
-    def follow(self, path):
-        """Path that the struts follow when told to follow a path."""
+    def follow(self, path: Path, places: tuple[str, ...]) -> Path:
+        """Path that the axes (their places) follow when told to follow a path."""
         return path
 
-    def deviation(self, motion):
-        """(n, axes) m that the struts are longer than commanded, by this effect."""
+    def deviation(self, motion: Motion) -> np.ndarray:
+        """(n, axes) m or rad that the axes stand beyond their command, by this effect."""
         return np.zeros(motion.lengths.shape)
 
-    def sway(self, motion):
+    def sway(self, motion: Motion) -> np.ndarray:
         """(n, 6) tangent by which the platform is displaced, on the right (m, rad)."""
         return np.zeros((len(motion.t), 6))
 
-    def attach(self, markers):
-        """Markers (id (m,), T_body_marker (m,), side (m,), target names) as they really sit: a `Sheet`."""
+    def attach(self, markers: Any) -> Any:
+        """MarkerMap (id (m,), T_body_marker (m,), side (m,), target names) as the markers really sit."""
         return markers
 
-    def camera(self, camera):
+    def camera(self, camera: Camera) -> Camera:
         """The Camera that really looks."""
         return camera
 
-    def mount(self, camera, t, channel):
+    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         """(n, 6) tangent by which a camera's mount has moved at t (n,) s, on the right; channel(name) -> (n,) sensor values."""
         return np.zeros((len(t), 6))
 
-    def focal(self, camera, t, channel):
+    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         """(n,) factor on a camera's focal length."""
         return np.ones(len(t))
 
-    def bend(self, camera, points):
+    def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) m of a camera's frame where they appear to be."""
         return points
 
-    def late(self, camera, v):
+    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
         """(...,) s by which image row v (...,) is exposed after the middle row."""
         return np.zeros(np.shape(v))
 
-    def print_(self, camera, quads):
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         """Marker corners (..., 4, 2) px as they appear, given where their edges are."""
         return quads
 
-    def values(self):
+    def covariate(self, motion: Motion) -> Covariate:
+        """What the residuals of the axes show it against; by default what the model itself says."""
+        unit = "µm" if motion.kind.UNIT == "m" else "µrad"
+        return Covariate(self.deviation(motion) * 1e6, f"what the model says, {unit}")
+
+    def direction(self, motion: Motion) -> np.ndarray | None:
+        """(n, 6) tangents along which the residuals show it; None where each axis shows it for itself."""
+        return None
+
+    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+        """Sums of its parameters that a fit must keep, {(name, index): weight}: what would only change the notation."""
+        return ()
+
+    def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
+        """Which numbers of a parameter a fit may move: (None,) for a single one, indices of a vector, () for none."""
+        if parameter.role in ("moment", "choice"):
+            return ()
+        value = getattr(self, parameter.name)
+        return tuple(range(len(value))) if isinstance(value, tuple) else (None,)
+
+    def written(self) -> Self:
+        """The same effect in its own notation, after its numbers have moved."""
+        return self
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        """Temperatures that it follows at a place, the channels any one of which tells each; none for what follows no temperature."""
+        return ()
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        """The places at which a recording can be asked for it. Raises RigError where the recording lacks what it needs."""
+        commanded = cls.stage in MOTION_STAGES
+        if commanded and context.motion is None:
+            raise RigError("nothing was commanded")
+        if not commanded and not context.cameras:
+            raise RigError("there are no corners")
+        if cls.moving and np.abs(context.motion.path.speed).max(initial=0.0) < AT_REST:
+            raise RigError("every exposure was taken at rest")
+        found = tuple(place for kind in cls.places for place in cls._of_kind(kind, context))
+        if commanded and found:
+            reason = cls(found[0]).needs(context.motion)
+            if reason:
+                raise RigError(f"{cls.name} {reason}")
+        return found
+
+    @classmethod
+    def _of_kind(cls, kind: str, context: Context) -> tuple[str, ...]:
+        if kind == "axis":
+            return context.motion.places
+        if kind == "rig" and "axis" in cls.places and context.motion.kind.AXIS == "joint":
+            return ()  # joints differ: that all of them do the same is nobody's physics
+        if kind == "cameras":
+            return ("cameras",) if len(context.design.cameras) > 1 else ()
+        several = {"camera": context.cameras, "marker": context.markers, "target": context.targets}
+        return tuple(f"{kind} {name}" for name in several[kind]) if kind in several else (kind,)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be searched."""
+        parameters = [p.at(place) for p in cls.parameters]
+        grids = {p.name: grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
+        shapes = [dict(zip(grids, values)) for values in product(*grids.values())]
+        return [Candidate(cls, place, shapes, cls.linear(place), extra=len(grids))]
+
+    @classmethod
+    def linear(cls, place: str) -> list[Linear]:
+        """The columns of the model at a place: its linear and inverse parameters, and the quadrature of a phase."""
+        parameters = [p.at(place) for p in cls.parameters]
+        columns = [Linear(p.name, None if p.size == 1 else j, step(p)) for p in parameters if p.role in ("linear", "inverse") for j in range(p.size)]
+        return columns + [Linear(QUADRATURE, None, step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"]
+
+    @classmethod
+    def composed(cls, candidate: Candidate, shape: dict, coefficients: np.ndarray) -> "Effect":
+        """The effect of a Candidate's shape with coefficients (q,) of its linear parameters."""
+        values, by = dict(shape), {p.name: p for p in cls.parameters}
+        vectors = {name: np.zeros(by[name].size or shape[COUNT]) for name, index, _ in candidate.linear if index is not None}
+        for (name, index, _), c in zip(candidate.linear, coefficients):
+            if name == QUADRATURE:
+                amplitude = next(p.name for p in cls.parameters if p.role == "linear")
+                phase = next(p.name for p in cls.parameters if p.role == "phase")
+                values[amplitude], values[phase] = float(np.hypot(values[amplitude], c)), float(np.arctan2(c, values[amplitude]))
+            elif index is not None:
+                vectors[name][index] = c
+            elif by[name].role == "inverse":
+                values[name] = 1 / c if c else np.inf
+            else:
+                values[name] = float(c)
+        values.pop(COUNT, None)
+        return cls(candidate.place, **values, **{name: tuple(v.tolist()) for name, v in vectors.items()})
+
+    @classmethod
+    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
+        """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells all."""
+        if not candidate.linear:
+            return candidate.effect(shape, np.zeros(0)).deviation(motion)[..., None]
+        out = []
+        for j, column in enumerate(candidate.linear):
+            unit = np.zeros(len(candidate.linear))
+            unit[j] = column.step
+            out.append(candidate.effect(shape, unit).deviation(motion) / column.step)
+        return np.stack(out, axis=-1)
+
+    @classmethod
+    def parameters_at(cls, place: str) -> tuple[Parameter, ...]:
+        """The parameters with their units, bounds and usual sizes at a place."""
+        return tuple(p.at(place) for p in cls.parameters)
+
+    @classmethod
+    def action_at(cls, place: str) -> str:
+        """What an owner can do about it at a place, in a sentence."""
+        return cls.action.format(axis="joint" if place.startswith("joint") else "strut")
+
+    @classmethod
+    def label(cls) -> str:
+        """Its name in words."""
+        return cls.name.replace("_", " ")
+
+    def values(self) -> dict[str, float | tuple[float, ...]]:
         """{parameter name: number or tuple} of this effect."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "place"}
 
-    def at(self, kind):
+    def at(self, kind: str) -> bool:
         """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
-        whole = {"strut": "rig", "camera": "cameras", "marker": "markers"}
+        whole = {"strut": "rig", "joint": "rig", "camera": "cameras", "marker": "markers"}
         return self.place == kind or self.place == whole.get(kind.split(" ")[0])
 
-    def struts(self, count=6):
-        """(count,) 1.0 for the struts where it sits, else 0.0."""
-        return np.array([float(self.at(f"strut {i + 1}")) for i in range(count)])
+    def axes(self, places: tuple[str, ...]) -> np.ndarray:
+        """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
+        if self.place.split(" ")[0] in AXES and self.place not in places:
+            raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
+        return np.array([float(self.at(place)) for place in places])
 
 
-def check(effect):
+def check(effect: Effect) -> Effect:
     """The effect itself. Raises ValueError for a place it cannot sit at or a parameter out of bounds."""
     kind = effect.place.split(" ")[0]
-    if kind not in effect.places:
+    if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
-    if kind in ("strut", "camera", "marker", "target") and not re.fullmatch(rf"{kind} \S+", effect.place):
-        raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in ('strut', 'marker') else 'name'}'")
-    for parameter in effect.parameters:
+    if kind in (*AXES, "camera", "marker", "target") and not re.fullmatch(rf"{kind} \S+", effect.place):
+        raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
+    for parameter in effect.parameters_at(effect.place):
         value = np.atleast_1d(np.asarray(getattr(effect, parameter.name), float))
         if parameter.size and len(value) != parameter.size:
             raise ValueError(f"{effect.name}: {parameter.name} has {parameter.size} numbers, got {len(value)}")
@@ -184,3 +254,7 @@ def check(effect):
         if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
             raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {value.tolist()}")
     return effect
+
+
+__all__ = ["AXES", "COUNT", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear", "Motion", "Parameter", "Path",
+           "check"]

@@ -5,7 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import REFERENCE_TEMPERATURE, Effect, Parameter
+from rig.effects.base import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
+from rig.effects.covariate import Covariate, temperature
+
+AMBIENT = "ambient_temperature_C"
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +22,23 @@ class BaseExpansion(Effect):
     places: ClassVar = ("rig",)
     parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-3, 1e-3), (1e-5, 1e-4)),)
     experiment: ClassVar = "the same poses in a cold and a warm room"
+    action: ClassVar = "Keep the room's temperature, or correct the base joints by it."
     on_pose: ClassVar = True
 
-    def deviation(self, motion):
-        scale = 1 + self.coefficient * (motion.channel("ambient_temperature_C") - REFERENCE_TEMPERATURE)
-        matrix, m = motion.T.as_matrix(), motion.mechanism
-        tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
-        moved = np.linalg.norm(tips - scale[:, None, None] * m.base_joints, axis=2)
-        return np.linalg.norm(tips - m.base_joints, axis=2) - moved
+    def needs(self, motion: Motion) -> str | None:
+        if motion.kind.UNIT == "rad":
+            return "takes struts on a base plate"
+        return motion.no_channel(AMBIENT)
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
+        base, tips = motion.kind.ends(motion.T, motion.mechanism)
+        moved = np.linalg.norm(tips - scale[:, None, None] * base, axis=2)
+        return np.linalg.norm(tips - base, axis=2) - moved
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return temperature(motion.channel(AMBIENT), "the room")
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        return ((AMBIENT,),)

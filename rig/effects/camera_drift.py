@@ -1,11 +1,13 @@
 """One camera's mount creeps to a new place."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
+from rig.design import Camera
+from rig.effects.base import Context, Effect, Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,14 @@ class CameraDrift(Effect):
                             Parameter("time_constant", "s", (1, 1e5), (60, 7200), role="log"))
     sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera for as long"
+    action: ClassVar = "Let the mount warm up and clamp it better; keep fixed cubes in that camera's view."
+    view: ClassVar = "time"
 
-    def mount(self, camera, t, channel):
+    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         share = (1 - np.exp(-np.maximum(t, 0) / self.time_constant)) * self.at(f"camera {camera.name}")
         return share[:, None] * np.asarray(self.motion, float)
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        found = super(CameraDrift, cls).sites(context)
+        return tuple(place for place in found if place.split(" ")[1] not in context.moving)  # a mount that moves has no place to leave

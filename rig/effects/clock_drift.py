@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.base import Effect, Parameter
+import numpy as np
+
+from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.covariate import Covariate, travel
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +19,12 @@ class ClockDrift(Effect):
     stage: ClassVar = "command"
     places: ClassVar = ("clock",)
     parameters: ClassVar = (Parameter("rate", "", (-1e-2, 1e-2), (1e-6, 1e-4), signed=True),)
+    moving: ClassVar = True
     experiment: ClassVar = "expose while moving early and late in a long recording"
+    action: ClassVar = "Trigger cameras and controller from one clock."
 
-    def times(self, t):
+    def times(self, t: np.ndarray) -> np.ndarray:
         return t * (1 + self.rate)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.path.speed * motion.t[:, None], motion, "speed times time")

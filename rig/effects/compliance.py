@@ -1,26 +1,97 @@
-"""Struts give under load, in static equilibrium."""
+"""Axes give under load, in static equilibrium."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.linalg import qr
 
-from rig.effects.base import Effect, Parameter
-from rig.effects.kinetics import axial_forces
+from rig.effects.base import Candidate, Context, Effect, Linear, Motion, Parameter
+from rig.effects.covariate import Covariate
+from rig.errors import RigError
+
+FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
+RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
 @dataclass(frozen=True, slots=True)
 class Compliance(Effect):
-    """Deviation -f / stiffness: a strut that pushes is compressed and shorter. Infinite stiffness gives nothing."""
+    """Deviation -f / stiffness: a strut that pushes is compressed and shorter, a joint gives way to what it holds. Infinite stiffness gives nothing.
+
+    moments : where the weight of an arm's links is not stated, their masses and mass moments (kg and kg m, four for each link, along its
+    frame) over the stiffness, in place of f / stiffness: 1/(m/s^2), as far as they are not stated with the platform
+    """
 
     place: str
     stiffness: float = np.inf
+    moments: tuple[float, ...] = ()
     name: ClassVar = "compliance"
     stage: ClassVar = "struts"
-    places: ClassVar = ("rig", "strut")
-    parameters: ClassVar = (Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse"),)
+    places: ClassVar = ("rig", "axis")
+    parameters: ClassVar = (Parameter("stiffness", "N/m", (1e4, np.inf), (1e6, 1e8), role="inverse", joint=((1.0, np.inf), (1e3, 1e7))),
+                            Parameter("moments", "kg/(N m/rad), kg m/(N m/rad)", (-1.0, 1.0), (1e-7, 1e-3), 0))
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
+    action: ClassVar = "Correct the {axis} by its load, or look for a soft mount; calibrate with the load that the machine will carry."
     on_pose: ClassVar = True
+    once: ClassVar = True
 
-    def deviation(self, motion):
-        return -self.struts() * axial_forces(motion) / self.stiffness
+    def needs(self, motion: Motion) -> str | None:
+        if not self.moments:
+            return motion.no_loads()
+        count = motion.links().shape[2]
+        return None if len(self.moments) == count else f"takes {count} moments, four for each link that the axes carry, not {len(self.moments)}"
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        mask = self.axes(motion.places)
+        out = np.zeros(motion.lengths.shape) if self.moments and np.isinf(self.stiffness) else -mask * motion.loads() / self.stiffness
+        if self.moments:
+            reason = self.needs(motion)
+            if reason:
+                raise RigError(f"{self.name} {reason}")
+            out = out - mask * (motion.links() @ np.asarray(self.moments))
+        return out
+
+    def covariate(self, motion: Motion) -> Covariate:
+        if self.moments:
+            return super(Compliance, self).covariate(motion)
+        kind = motion.kind
+        return Covariate(motion.loads(), f"{'force' if kind.LOAD == 'N' else 'torque'}, {kind.LOAD} (positive: the {kind.AXIS} pushes)")
+
+    def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
+        if self.moments:
+            return tuple(i for i, v in enumerate(self.moments) if v) if parameter.name == "moments" else ()
+        return (None,) if parameter.name == "stiffness" else ()
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        m = context.motion
+        if m is not None and m.no_loads() and m.links().shape[2]:
+            return m.places
+        return super(Compliance, cls).sites(context)
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        motion = context.motion
+        if not motion.no_loads():
+            return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
+        table = motion.links()[:, motion.places.index(place)]
+        kept = distinct(table)
+        if not len(kept):
+            return []
+        shape = {"_count": table.shape[1]}
+        return [Candidate(cls, place, [shape], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
+
+    @classmethod
+    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
+        if "_count" not in shape:
+            return super(Compliance, cls).columns(candidate, shape, motion)
+        i = motion.places.index(candidate.place)
+        out = np.zeros((*motion.lengths.shape, len(candidate.linear)))
+        out[:, i] = -motion.links()[:, i][:, [column.index for column in candidate.linear]]
+        return out
+
+
+def distinct(table: np.ndarray) -> np.ndarray:
+    """Indices of the columns of a joint's table (n, c) that others do not make up, and that the weight turns; a constant is the joint's zero."""
+    _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)
+    return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])

@@ -1,7 +1,7 @@
 """One cube sits off its stated pose."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,8 +21,10 @@ class CubeMisplacement(Effect):
     places: ClassVar = ("target",)
     parameters: ClassVar = (Parameter("motion", "m, rad", (-1, 1), (5e-5, 1e-3), 6),)
     experiment: ClassVar = "see that cube together with others of its body"
+    action: ClassVar = "Seat that cube anew, or measure it and state its true pose."
+    view: ClassVar = "targets"
 
-    def attach(self, markers):
+    def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(f"target {name}") for name in markers.target])
         if not rows.any():
             return markers

@@ -1,17 +1,21 @@
-"""Error periodic in the screw: it comes back with every turn."""
+"""Error periodic in the screw or the gear: it comes back with every turn."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
-from rig.errors import RigError
+from rig.effects.base import Candidate, Context, Effect, Motion, Parameter
+from rig.effects.covariate import Covariate
+
+FINE = 0.3  # step of a joint's orders, of what its travel resolves
+ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows
+SLOWEST = 0.5  # of them, and half a cycle over the joint's travel
 
 
 @dataclass(frozen=True, slots=True)
 class CyclicError(Effect):
-    """Deviation amplitude * sin(2 pi order l / lead + phase), l the commanded length, lead the screw's."""
+    """Deviation amplitude * sin(2 pi order l / turn + phase), l the commanded value, turn the screw's lead or the joint's own turn."""
 
     place: str
     amplitude: float = 0.0
@@ -19,13 +23,34 @@ class CyclicError(Effect):
     order: float = 1.0
     name: ClassVar = "cyclic_error"
     stage: ClassVar = "struts"
-    places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5)), Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
-                            Parameter("order", "", (0.05, 20), (1, 2), role="even"))
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-4), (2e-6, 3e-5), joint=((0, 5e-2), (1e-5, 5e-4))),
+                            Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
+                            Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))))
     experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
+    action: ClassVar = "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller takes it out."
+    form: ClassVar = "harmonic"
+    own_axis: ClassVar = 2
 
-    def deviation(self, motion):
-        if motion.actuator.screw_lead is None:
-            raise RigError("cyclic_error needs [actuator] screw_lead in rig.toml")
-        angle = 2 * np.pi * self.order * motion.lengths / motion.actuator.screw_lead
-        return self.struts() * self.amplitude * np.sin(angle + self.phase)
+    def needs(self, motion: Motion) -> str | None:
+        return motion.no_turn()
+
+    def angle(self, motion: Motion) -> np.ndarray:
+        """(n, axes) rad that the order multiplies."""
+        return 2 * np.pi * motion.lengths / motion.turn()
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.amplitude * np.sin(self.order * self.angle(motion) + self.phase)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        found = super(CyclicError, cls).candidates(place, context)
+        if not place.startswith("joint"):
+            return found
+        travel = max(np.ptp(context.motion.lengths[:, context.motion.places.index(place)]), 1e-6)
+        spacing = FINE * 2 * np.pi / travel
+        orders = spacing * np.arange(int(np.ceil(max(SLOWEST, np.pi / travel) / spacing)), int(ORDERS / spacing))
+        return [replace(found[0], shapes=[{"order": float(w)} for w in orders], spacing=spacing)] if len(orders) else []

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.design import Camera
 from rig.effects.base import Effect, Parameter
 
 
@@ -19,8 +20,10 @@ class EdgeBias(Effect):
     places: ClassVar = ("camera", "cameras")
     parameters: ClassVar = (Parameter("bias", "px", (-3, 3), (0.05, 0.5), signed=True),)
     experiment: ClassVar = "vary the range: constant in pixels it is this, constant in millimetres it is the print"
+    action: ClassVar = "Lower the exposure and focus anew; the detector's threshold or the printer's ink moves every edge."
+    view: ClassVar = "outward"
 
-    def print_(self, camera, quads):
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         if self.bias == 0 or not self.at(f"camera {camera.name}"):
             return quads
         edge = np.roll(quads, -1, axis=-2) - quads  # edge k runs from corner k to k + 1

@@ -1,7 +1,7 @@
 """One face's marker sits askew on its cube."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,7 +22,9 @@ class FaceMisplacement(Effect):
     places: ClassVar = ("marker",)
     parameters: ClassVar = (Parameter("offset", "m", (-0.1, 0.1), (5e-5, 1e-3), 3), Parameter("rotation", "rad", (-3.2, 3.2), (1e-3, 2e-2), 3))
     experiment: ClassVar = "see that face from several cameras and poses"
+    action: ClassVar = "Glue that face anew or leave its marker out of rig.toml."
+    view: ClassVar = "markers"
 
-    def attach(self, markers):
+    def attach(self, markers: Any) -> Any:
         rows = np.array([self.at(f"marker {number}") for number in markers.id])
         return replace(markers, T_body_marker=moved(markers.T_body_marker, rows, lambda T: T * exp(np.r_[self.offset, self.rotation])))

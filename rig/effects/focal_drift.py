@@ -1,11 +1,17 @@
 """The focal length follows the temperature."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import REFERENCE_TEMPERATURE, Effect, Parameter
+from rig.design import Camera
+from rig.effects.base import REFERENCE_TEMPERATURE, Context, Effect, Parameter
+
+from rig.errors import RigError
+
+AMBIENT = "ambient_temperature_C"
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +25,27 @@ class FocalDrift(Effect):
     places: ClassVar = ("cameras", "camera")
     parameters: ClassVar = (Parameter("per_kelvin", "1/K", (-1e-2, 1e-2), (1e-5, 4e-4), signed=True),)
     experiment: ClassVar = "watch fixed cubes while the temperature changes"
+    action: ClassVar = "Keep the cameras' temperature or let them warm up; log it so that it can be corrected."
+    view: ClassVar = "scale"
 
-    def focal(self, camera, t, channel):
+    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         if not self.at(f"camera {camera.name}"):
             return np.ones(len(t))
-        warmth = channel(f"camera_{camera.name}_temperature_C", "ambient_temperature_C")
-        return 1 + self.per_kelvin * (warmth - REFERENCE_TEMPERATURE)
+        return 1 + self.per_kelvin * (channel(*_channels(camera.name)) - REFERENCE_TEMPERATURE)
+
+    @classmethod
+    def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
+        name = place.partition(" ")[2]
+        return tuple(_channels(camera) for camera in ([name] if name else [c.name for c in context.design.cameras]))
+
+    @classmethod
+    def sites(cls, context: Context) -> tuple[str, ...]:
+        found = super(FocalDrift, cls).sites(context)
+        if not context.logged(AMBIENT):
+            raise RigError(f"the model needs a sensor channel {AMBIENT!r}, which the recording does not have")
+        return found
+
+
+def _channels(camera: str) -> tuple[str, str]:
+    """The channels, either of which tells a camera's temperature."""
+    return f"camera_{camera}_temperature_C", AMBIENT

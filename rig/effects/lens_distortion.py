@@ -5,7 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
+from rig.design import Camera
+from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Parameter
+
+LACKING = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
+WARPS = (3, 5, 7)  # degrees of a smooth warp
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +25,10 @@ class LensDistortion(Effect):
     places: ClassVar = ("camera",)
     parameters: ClassVar = (Parameter("terms", "", (-10, 10), (1e-4, 0.5), 12), Parameter("warp", "px", (-1e3, 1e3), (2e-2, 2), 0))
     experiment: ClassVar = "cover the whole image with corners: a lens is fixed in the frame, whatever the pose"
+    action: ClassVar = "Calibrate that lens with more terms; what is fitted here already corrects this recording."
+    view: ClassVar = "map"
 
-    def camera(self, camera):
+    def camera(self, camera: Camera) -> Camera:
         if not self.at(f"camera {camera.name}") or not any(self.terms):
             return camera
         terms = np.zeros(max(12, len(camera.distortion)))
@@ -30,14 +36,26 @@ class LensDistortion(Effect):
         terms[:12] += self.terms
         return replace(camera, distortion=terms)
 
-    def print_(self, camera, quads):
+    def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         if not self.warp or not self.at(f"camera {camera.name}"):
             return quads
         degree = round((np.sqrt(25 + 4 * len(self.warp)) - 3) / 2)
         return quads + products(camera, quads, degree) @ np.reshape(self.warp, (2, -1)).T
 
+    def fitted(self, parameter: Parameter) -> tuple[int, ...]:
+        if parameter.name == "terms" and self.warp:
+            return ()  # a warp takes in whatever the lens' own terms could bend
+        return tuple(i for i, value in enumerate(getattr(self, parameter.name)) if value)
 
-def products(camera, uv, degree):
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        have = len(context.design.camera(place.split(" ")[1]).distortion)
+        lacking = [Candidate(cls, place, [{}], [Linear("terms", j, 1e-4) for j in terms], label) for label, terms in LACKING.items()
+                   if min(terms) >= have]
+        return lacking + [Candidate(cls, place, [{COUNT: count(d)}], [Linear("warp", j, 1e-2) for j in range(count(d))], f"warp {d}") for d in WARPS]
+
+
+def products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
     """(..., m) Chebyshev products of image position (..., 2) px, 1 at the image's left and right edge, from the second degree to
     `degree`: what is linear is the camera's own pose and lens."""
     x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
@@ -45,6 +63,6 @@ def products(camera, uv, degree):
     return np.stack([T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1)
 
 
-def count(degree):
+def count(degree: int) -> int:
     """How many numbers a warp of that degree has."""
     return (degree + 1) * (degree + 2) - 6

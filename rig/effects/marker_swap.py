@@ -1,7 +1,7 @@
 """Two faces were exchanged, or one glued on turned."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,8 +23,10 @@ class MarkerSwap(Effect):
     places: ClassVar = ("marker",)
     parameters: ClassVar = (Parameter("other", "", (-1, 1e5), (0, 100), role="choice"), Parameter("turn", "", (0, 3), (0, 3), role="choice"))
     experiment: ClassVar = "look at the cube"
+    action: ClassVar = "Correct the faces of that cube in rig.toml."
+    discrete: ClassVar = True
 
-    def attach(self, markers):
+    def attach(self, markers: Any) -> Any:
         a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
         order = np.arange(len(markers.id))

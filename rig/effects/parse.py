@@ -3,12 +3,14 @@
 import difflib
 import re
 
+import numpy as np
+
 from rig.effects import BY_NAME
-from rig.effects.base import check
+from rig.effects.base import AXES, Effect, check
 from rig.errors import RigError
 
 
-def parse(text):
+def parse(text: str) -> Effect:
     """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes.
 
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig", "cameras").
@@ -40,11 +42,12 @@ def parse(text):
         raise RigError(f"effect {text!r}: {error}") from None
 
 
-def _place(text, kind):
-    if text in kind.places or any(re.fullmatch(rf"{place} \S+", text) for place in kind.places):
+def _place(text: str, kind: type[Effect]) -> str:
+    kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
+    if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
         return text
-    for place in ("strut", "camera", "marker", "target"):
-        if place in kind.places:
+    for place in ("strut", "joint", "camera", "marker", "target"):
+        if place in kinds:
             rest = re.fullmatch(rf"(?:{place})?[ _]?(\S+)", text)
             if rest and (place in ("camera", "target") or rest.group(1).isdigit()):
                 return f"{place} {rest.group(1)}"
@@ -53,13 +56,14 @@ def _place(text, kind):
     return text
 
 
-def to_dict(effect):
+def to_dict(effect: Effect) -> dict:
     """{"effect", "place", "parameters"} of an effect, as truth files and diagnoses write it."""
     return {"effect": effect.name, "place": effect.place,
-            "parameters": {key: list(value) if isinstance(value, tuple) else value for key, value in effect.values().items()}}
+            "parameters": {key: list(value) if isinstance(value, tuple) else value for key, value in effect.values().items()
+                           if isinstance(value, tuple) or np.isfinite(value)}}  # what is infinite is its default
 
 
-def from_dict(tree):
+def from_dict(tree: dict) -> Effect:
     """The effect of such a dict. Raises RigError for one that is none."""
     try:
         values = {key: tuple(value) if isinstance(value, list) else value for key, value in tree["parameters"].items()}

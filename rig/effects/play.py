@@ -1,16 +1,24 @@
-"""The play operator, walked along a whole path: what is left of history in a strut."""
+"""The play operator, walked along a whole path: what is left of history in an axis."""
 
 import numpy as np
 from numba import njit
 
+from rig.effects.motion import Motion
 
-def play(lengths, half):
-    """(m, axes) where the output of a play of half width `half` (m) stands after each knot of a path (m, axes) m.
+
+def play(lengths: np.ndarray, half: float) -> np.ndarray:
+    """(m, axes) where the output of a play of half width `half` stands after each knot of a path (m, axes), m or rad.
 
     The output starts in the middle of the gap and is dragged along at its ends. Between knots the input is monotonic, so the
     knots are all that matters. Source: Brokate and Sprekels, Hysteresis and Phase Transitions, 1996, ch. 2
     """
     return _walk(np.ascontiguousarray(lengths, dtype=float), float(half))
+
+
+def behind(motion: Motion, half: float) -> np.ndarray:
+    """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
+    path = motion.path
+    return motion.once(("behind", half), lambda: (play(path.lengths, half) - path.lengths)[path.at])
 
 
 @njit(cache=True)

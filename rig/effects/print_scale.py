@@ -1,7 +1,7 @@
 """The markers were printed too large or too small."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from rig.effects.base import Effect, Parameter
 
@@ -17,6 +17,8 @@ class PrintScale(Effect):
     places: ClassVar = ("markers",)
     parameters: ClassVar = (Parameter("scale", "", (-0.1, 0.1), (1e-4, 5e-3), signed=True),)
     experiment: ClassVar = "measure a printed sheet, or vary the range: an edge bias is constant in pixels, this in millimetres"
+    action: ClassVar = "Measure a printed sheet with a caliper and state the true side of the markers."
+    view: ClassVar = "outward"
 
-    def attach(self, markers):
+    def attach(self, markers: Any) -> Any:
         return replace(markers, side=markers.side * (1 + self.scale))

@@ -1,31 +1,47 @@
 """A plane-parallel window stands before a camera."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import ClassVar, Self
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
+from rig.design import Camera
+from rig.effects.base import Candidate, Context, Effect, Parameter
 
 INDEX = 1.5  # of the window's glass against air
+STEEPEST = np.radians(60)  # to which a window may be tilted
+TILTS, TOWARDS = np.radians([20.0, 40.0]), np.arange(8) * np.pi / 4  # of windows that are looked for, besides one square to the camera
 
 
 @dataclass(frozen=True, slots=True)
 class Refraction(Effect):
-    """A window of a thickness (m), square to the optical axis: what lies behind it seems nearer, the more the more obliquely."""
+    """A window of a thickness (m) whose normal (3, camera frame, of any length) leads away from the camera: what lies behind it seems
+    nearer along it, the more the more obliquely. How far away the window stands makes no difference."""
 
     place: str
     thickness: float = 0.0
+    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
     name: ClassVar = "refraction"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("thickness", "m", (0, 0.2), (1e-3, 3e-2)),)
+    parameters: ClassVar = (Parameter("thickness", "m", (0, 0.2), (1e-3, 3e-2)), Parameter("normal", "", (-10, 10), (0.1, 1), 3, role="direction"))
     experiment: ClassVar = "a sweep in depth: no lens depends on the range"
+    action: ClassVar = "Take the window away, or set it square to the camera and state it."
+    view: ClassVar = "map"
 
-    def bend(self, camera, points):
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.normal) > 0 or self.normal[2] < np.cos(STEEPEST) * np.linalg.norm(self.normal):
+            raise ValueError(f"a window's normal leads away from the camera, tilted by at most {np.degrees(STEEPEST):.0f} degrees, "
+                             f"not along {list(self.normal)}")
+
+    def bend(self, camera: Camera, points: np.ndarray) -> np.ndarray:
         if self.thickness <= 0 or not self.at(f"camera {camera.name}"):
             return points
-        z, r = points[..., 2], np.linalg.norm(points[..., :2], axis=-1)
+        normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)
+        z = points @ normal
+        across = points - z[..., None] * normal
+        r = np.linalg.norm(across, axis=-1)
         slope = r / z  # tangent of the ray's angle outside the glass
         for _ in range(50):  # the ray's lateral shift in the glass, Snell's law
             sine = slope / np.sqrt(1 + slope**2)
@@ -34,4 +50,21 @@ class Refraction(Effect):
             if np.abs(new - slope).max(initial=0) < 1e-15:
                 break
             slope = new
-        return np.concatenate([points[..., :2] * (slope * z / np.where(r > 0, r, 1))[..., None], points[..., 2:]], axis=-1)
+        return across * (slope * z / np.where(r > 0, r, 1))[..., None] + z[..., None] * normal
+
+    def kept(self) -> tuple[dict[tuple[str, int | None], float], ...]:
+        return ({("normal", i): value for i, value in enumerate(self.normal)},)
+
+    def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
+        if parameter.name == "normal" and tuple(self.normal) == (0.0, 0.0, 1.0):
+            return ()  # found square to the camera; tilted ones were looked for as well
+        return super(Refraction, self).fitted(parameter)
+
+    def written(self) -> Self:
+        return replace(self, normal=tuple((np.asarray(self.normal) / np.linalg.norm(self.normal)).tolist()))
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        tilted = [{"normal": (float(np.sin(a) * np.cos(b)), float(np.sin(a) * np.sin(b)), float(np.cos(a)))} for a, b in product(TILTS, TOWARDS)]
+        linear = cls.linear(place)
+        return [Candidate(cls, place, [{}], linear), Candidate(cls, place, tilted, linear, "tilted", extra=2)]

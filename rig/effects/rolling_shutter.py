@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from rig.design import Camera
 from rig.effects.base import Effect, Parameter
 
 
@@ -19,6 +20,8 @@ class RollingShutter(Effect):
     places: ClassVar = ("camera", "cameras")
     parameters: ClassVar = (Parameter("row_time", "s", (-1e-3, 1e-3), (5e-6, 3e-5)),)
     experiment: ClassVar = "expose while moving, the platform high and low in the image"
+    action: ClassVar = 'State shutter = "rolling" and row_time in rig.toml, or expose at rest.'
+    rolls: ClassVar = True
 
-    def late(self, camera, v):
+    def late(self, camera: Camera, v: np.ndarray) -> np.ndarray:
         return self.row_time * self.at(f"camera {camera.name}") * (np.asarray(v) - camera.height / 2)

@@ -1,22 +1,31 @@
-"""A strut's scale is off: s times the stroke from home."""
+"""An axis' scale is off: s times the stroke from home."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rig.effects.base import Effect, Parameter
+import numpy as np
+
+from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.covariate import Covariate, travel
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleError(Effect):
-    """Deviation scale * q, q the length less the home length."""
+    """Deviation scale * q, q the commanded value less that at home."""
 
     place: str
     scale: float = 0.0
     name: ClassVar = "scale_error"
     stage: ClassVar = "struts"
-    places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3), signed=True),)
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("scale", "", (-5e-3, 5e-3), (5e-5, 1e-3), signed=True, joint=((-5e-2, 5e-2), (5e-5, 2e-3))),)
     experiment: ClassVar = "a certified length along the strut, or a target of certified size: all six scales equal look like a print scale"
+    action: ClassVar = "Enter the {axis}'s scale in the controller (steps per unit of travel), or have its drive's transmission certified."
+    own_axis: ClassVar = 1
+    once: ClassVar = True
 
-    def deviation(self, motion):
-        return self.struts() * self.scale * (motion.lengths - motion.home)
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.scale * motion.stroke
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.stroke, motion, "stroke from home")

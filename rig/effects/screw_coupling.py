@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect, Parameter
-from rig.effects.kinetics import cardan_twist
+from rig.effects.base import Effect, Motion, Parameter
+from rig.effects.cardans import cardan_twist
+from rig.effects.covariate import Covariate
 from rig.errors import RigError
 
 
@@ -18,15 +19,27 @@ class ScrewCoupling(Effect):
     gain: float = 0.0
     name: ClassVar = "screw_coupling"
     stage: ClassVar = "struts"
-    places: ClassVar = ("rig", "strut")
-    parameters: ClassVar = (Parameter("gain", "", (-1, 1), (0.1, 1)),)
+    places: ClassVar = ("rig", "axis")
+    parameters: ClassVar = (Parameter("gain", "", (-3, 3), (0.1, 1)),)
     experiment: ClassVar = "turn the platform about its axis and tilt it, far out: the pose alone tells it"
+    action: ClassVar = "Correct lengths by the twist of the joints, or guide the nut so that it cannot turn."
     on_pose: ClassVar = True
 
-    def deviation(self, motion):
+    def needs(self, motion: Motion) -> str | None:
+        if motion.mechanism.kind != "hexapod":
+            return "takes a hexapod, whose struts end in cardans"
         if motion.actuator.screw_lead is None or motion.actuator.joints is None:
-            raise RigError("screw_coupling needs [actuator] screw_lead and joints in rig.toml")
-        if motion.actuator.joints != "cardan-cardan":  # a ball turns freely: it cannot turn the nut
-            return np.zeros(motion.lengths.shape)
-        twist = cardan_twist(motion.T, motion.mechanism) - cardan_twist(motion.mechanism.home, motion.mechanism)
-        return self.struts() * self.gain * motion.actuator.screw_lead / (2 * np.pi) * twist
+            return "needs [actuator] screw_lead and joints in rig.toml"
+        return "takes cardans at both ends: a ball turns freely and cannot turn the nut" if motion.actuator.joints != "cardan-cardan" else None
+
+    def deviation(self, motion: Motion) -> np.ndarray:
+        return self.axes(motion.places) * self.gain * motion.turn() / (2 * np.pi) * self._twist(motion)
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return Covariate(np.degrees(self._twist(motion)), "twist of the cardans, degrees")
+
+    def _twist(self, motion: Motion) -> np.ndarray:
+        reason = self.needs(motion)
+        if reason:
+            raise RigError(f"{self.name} {reason}")
+        return cardan_twist(motion.T, motion.mechanism) - cardan_twist(motion.mechanism.home, motion.mechanism)

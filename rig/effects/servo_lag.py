@@ -6,32 +6,38 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import Effect, Motion, Parameter, Path
+from rig.effects.covariate import Covariate, travel
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 
 
 @dataclass(frozen=True, slots=True)
 class ServoLag(Effect):
-    """The struts follow y with y' = (command - y) / time_constant, exactly for a command that is linear between knots."""
+    """The axes follow y with y' = (command - y) / time_constant, exactly for a command that is linear between knots."""
 
     place: str
     time_constant: float = 0.0
     name: ClassVar = "servo_lag"
     stage: ClassVar = "command"
-    places: ClassVar = ("strut", "rig")
+    places: ClassVar = ("axis", "rig")
     parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2), role="size"),)
+    moving: ClassVar = True
     experiment: ClassVar = ("expose soon after reversals at full speed (plan zigzag), or time the cameras by an external clock: "
                             "all struts alike is also a time offset")
+    action: ClassVar = "Raise the drive's gain or feed its speed forward; poses at rest are not touched."
 
-    def follow(self, path):
+    def follow(self, path: Path, places: tuple[str, ...]) -> Path:
         if self.time_constant <= 0:
             return path
         path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
-        return replace(path, lengths=np.where(self.struts() > 0, lag(path.t, path.lengths, self.time_constant), path.lengths))
+        return replace(path, lengths=np.where(self.axes(places) > 0, lag(path.t, path.lengths, self.time_constant), path.lengths))
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.path.speed, motion, "speed of the axis", "/s")
 
 
-def lag(t, x, time_constant):
+def lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:
     """(m, axes) first-order lag of x (m, axes), linear between knots t (m,); it starts at rest, y = x. Exact at the knots."""
     return _lag(np.ascontiguousarray(t, dtype=float), np.ascontiguousarray(x, dtype=float), float(time_constant))
 

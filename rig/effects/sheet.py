@@ -1,10 +1,12 @@
 """Moving some markers of a batch: what the target effects share."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 
-def moved(poses, rows, motion):
+def moved(poses: RigidTransform, rows: np.ndarray, motion: Callable[[RigidTransform], RigidTransform]) -> RigidTransform:
     """RigidTransform (m,) with motion(T) in place of T at the rows (m,) bool."""
     if not rows.any():
         return poses

@@ -1,4 +1,4 @@
-"""A repeatable profile of a strut's own position: lead of the screw, gear, encoder."""
+"""A repeatable profile of an axis' own position: lead of the screw, gear, encoder."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,30 +6,72 @@ from typing import ClassVar
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rig.effects.base import Effect, Parameter
+from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
+from rig.effects.covariate import Covariate, travel
+from rig.effects.grid import step
+
+KNOTS = (5, 9, 14)  # of a strut's profile
+SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile
+FEWEST = 4  # knots
+SHARE = 0.125  # of the exposures: more knots than that are no profile
 
 
 @dataclass(frozen=True, slots=True)
 class TransmissionError(Effect):
-    """Deviation: a natural cubic spline through profile (m), evenly spaced over the strut's range. rms tells its size."""
+    """Deviation: a natural cubic spline through profile (m or rad), evenly spaced over span (m or rad), by default the axis' whole travel;
+    beyond its ends it stays what it was there. rms tells its size."""
 
     place: str
     profile: tuple[float, ...] = (0.0, 0.0)
+    span: tuple[float, ...] = ()
     name: ClassVar = "transmission_error"
     stage: ClassVar = "struts"
-    places: ClassVar = ("strut",)
-    parameters: ClassVar = (Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0),)
-    experiment: ClassVar = "the whole stroke of that strut in small steps, from both sides"
+    places: ClassVar = ("axis",)
+    parameters: ClassVar = (Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0, joint=((-0.1, 0.1), (5e-5, 1e-3))),
+                            Parameter("span", "m", (-1e3, 1e3), (0, 10), 0, role="choice", joint=((-1e3, 1e3), (-3, 3))))
+    experiment: ClassVar = "the whole stroke of that axis in small steps, from both sides"
+    action: ClassVar = "Put the profile into the controller's table of the {axis}'s errors, or exchange its screw, gear or encoder."
+    own_axis: ClassVar = 3
+    once: ClassVar = True
 
     @property
-    def rms(self):
-        """m, root mean square of the profile."""
+    def rms(self) -> float:
+        """m or rad, root mean square of the profile."""
         return float(np.sqrt(np.mean(np.square(self.profile))))
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         out = np.zeros(motion.lengths.shape)
-        for i in np.flatnonzero(self.struts()):
-            low, high = motion.mechanism.strut_range[i]
-            spline = CubicSpline(np.linspace(low, high, len(self.profile)), self.profile, bc_type="natural")
-            out[:, i] = spline(np.clip(motion.lengths[:, i], low, high))  # beyond its ends a profile stays what it was there
+        for i in np.flatnonzero(self.axes(motion.places)):
+            span = self.span or motion.kind.travel(motion.mechanism)[i]
+            out[:, i] = basis(motion.lengths[:, i], span, np.asarray(self.profile, float))
         return out
+
+    def covariate(self, motion: Motion) -> Covariate:
+        return travel(motion.stroke, motion, "stroke from home")
+
+    @classmethod
+    def candidates(cls, place: str, context: Context) -> list[Candidate]:
+        p = cls.parameters[0].at(place)
+        if not place.startswith("joint"):
+            return [cls._of(place, {COUNT: count}, p) for count in KNOTS]
+        q = context.motion.lengths[:, context.motion.places.index(place)]
+        span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
+        counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
+        return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]
+
+    @classmethod
+    def _of(cls, place: str, shape: dict, p: Parameter) -> Candidate:
+        return Candidate(cls, place, [shape], [Linear(p.name, j, step(p)) for j in range(shape[COUNT])], f"{shape[COUNT]} knots")
+
+    @classmethod
+    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
+        i = motion.places.index(candidate.place)
+        out = np.zeros((*motion.lengths.shape, shape[COUNT]))
+        out[:, i] = basis(motion.lengths[:, i], shape.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(shape[COUNT]))
+        return out
+
+
+def basis(q: np.ndarray, span: tuple[float, float] | np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(n, ...) natural cubic splines through values (knots, ...) at even knots over a span, at q (n,)."""
+    low, high = span
+    return CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(np.clip(q, low, high))

@@ -7,7 +7,7 @@ Source: genhexkins(9), offset(9) of LinuxCNC.
 
 import numpy as np
 
-from rig.effects.kinetics import cardan_twist
+from rig.effects.cardans import cardan_twist
 from rig.errors import RigError
 
 UNITS = {"mm": 1e3, "m": 1.0}

@@ -1,13 +1,22 @@
 """Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of rig.design."""
 
+from rig.design import Arm, Free, Hexapod, Planar2
 from rig.errors import RigError
 from rig.mechanisms import arm, hexapod, planar
+from rig.mechanisms.kind import Kind
 
-ALL = {"hexapod": hexapod, "planar2": planar, "arm": arm}
+ALL: dict[str, Kind] = {"hexapod": hexapod, "planar2": planar, "arm": arm}
 
 
-def of(mechanism):
+def of(mechanism: Hexapod | Planar2 | Arm | Free) -> Kind:
     """The module that moves a mechanism (Hexapod, Planar2, Arm). Raises RigError for a kind that has no kinematics here."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")
     return ALL[mechanism.kind]
+
+
+def places(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
+    """The places of a mechanism's axes: "strut 1" .. or "joint 1" ..; none for what nobody commands."""
+    if not mechanism.axes:
+        return ()
+    return tuple(f"{of(mechanism).AXIS} {i + 1}" for i in range(len(mechanism.axes)))

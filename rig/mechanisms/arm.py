@@ -7,8 +7,10 @@ Sources: Denavit and Hartenberg 1955; Hayati, Robot arm geometric link parameter
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.design import Arm
 from rig.errors import Unreachable
 
+AXIS, UNIT, LOAD = "joint", "rad", "N m"
 TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
 GOOD = 1e-10  # m and rad; what counts as solved: a pose given to 1e-12 at the edge of the reach keeps 1e-6 rad of play
 MAX_ITERATIONS = 80
@@ -76,6 +78,50 @@ def limits(q, arm):
     """How far joint angles (..., n) lie outside the limits: (..., n) rad, negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
+
+
+def travel(arm: Arm) -> np.ndarray:
+    """(n, 2) rad, the joint limits."""
+    return arm.limits
+
+
+def home(arm: Arm) -> np.ndarray:
+    """(n,) rad, all joints at zero: from there an encoder counts."""
+    return np.zeros(len(arm.joints))
+
+
+def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
+    """(m, n) N m with which the joints hold a wrench (m, 6) N, N m on the platform at joint angles q (m, n) rad."""
+    return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)
+
+
+def links(T: RigidTransform, q: np.ndarray, arm: Arm, gravity: np.ndarray) -> np.ndarray:
+    """(m, n, 4 n) N m with which the joints hold each link, per kg at its frame and per kg m along that frame's x, y and z.
+
+    gravity : (3,) m/s^2 in the frame of poses. Source: Luh, Walker and Paul's recursion at rest, as a regressor: Gautier and Khalil 1990
+    """
+    chain, n = frames(q, arm), len(arm.joints)
+    z, o, R = chain[:, :n, :3, 2], chain[:, : n + 1, :3, 3], chain[:, 1 : n + 1, :3, :3]
+    out = np.zeros((len(chain), n, n, 4))
+    turned = np.cross(np.swapaxes(R, 2, 3), gravity)  # (m, link, axis of its frame, 3)
+    for j in range(n):
+        out[:, j, j:, 0] = -np.einsum("mki,mi->mk", np.cross(o[:, j + 1 :] - o[:, [j]], gravity), z[:, j])
+        out[:, j, j:, 1:] = -np.einsum("mkai,mi->mka", turned[:, j:], z[:, j])
+    return out.reshape(len(chain), n, 4 * n)
+
+
+def grown(T: RigidTransform, q: np.ndarray, arm: Arm, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (m, n) rad, sway (m, 6)) of links whose offsets d and lengths a have grown by shares (m, n): the hand moves, no joint turns."""
+    chain, rows = frames(q, arm), arm.rows
+    before, turn = chain[:, : len(rows), :3], (q + rows[:, 0])[..., None]
+    along = np.cos(turn) * before[..., 0] + np.sin(turn) * before[..., 1]  # the common normal
+    moved = np.einsum("mn,mni->mi", share, rows[:, 1, None] * before[..., 2] + rows[:, 2, None] * along)
+    return np.zeros(share.shape), np.pad((moved[:, None] @ chain[:, -1, :3, :3])[:, 0], ((0, 0), (0, 3)))
+
+
+def ends(T: RigidTransform, arm: Arm) -> None:
+    """An arm has no struts."""
+    return None
 
 
 def inverse(T_base_platform, arm, guess=None):

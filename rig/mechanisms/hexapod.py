@@ -3,8 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.design import Hexapod
 from rig.errors import NotConverged
+from rig.pose import transform_points
 
+AXIS, UNIT, LOAD = "strut", "m", "N"
 TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 60
 MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
@@ -63,6 +66,39 @@ def limits(lengths, hexapod):
     """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
+
+
+def travel(hexapod: Hexapod) -> np.ndarray:
+    """(6, 2) m, shortest and longest commanded length."""
+    return hexapod.strut_range
+
+
+def home(hexapod: Hexapod) -> np.ndarray:
+    """(6,) m, commanded lengths at the home pose."""
+    return inverse(hexapod.home, hexapod)
+
+
+def loads(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, wrench: np.ndarray) -> np.ndarray:
+    """(n, 6) N with which each strut pushes the platform to hold a wrench (n, 6) N, N m: J^T f + w = 0.
+
+    Source: Merlet, Parallel Robots, 2nd ed., ch. 9
+    """
+    return np.linalg.solve(np.swapaxes(jacobian(T, hexapod), 1, 2), -wrench[..., None])[..., 0]
+
+
+def links(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, gravity: np.ndarray) -> np.ndarray:
+    """(n, 6, 0): struts' own weight rests on the base."""
+    return np.zeros((*np.shape(lengths), 0))
+
+
+def grown(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (n, 6) m, sway (n, 6)) of struts grown by shares (n, 6) of their length: each is longer, nothing else moves."""
+    return share * lengths, np.zeros((len(share), 6))
+
+
+def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
+    """(base joints (6, 3), platform joints (n, 6, 3)) m in the base frame at poses T (n,)."""
+    return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 
 def _rows(R, t, hexapod):

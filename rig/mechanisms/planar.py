@@ -3,7 +3,10 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.design import Planar2
 from rig.errors import NotConverged
+
+AXIS, UNIT, LOAD = "strut", "m", "N"
 
 
 def inverse(T_base_platform, planar):
@@ -50,3 +53,33 @@ def limits(lengths, planar):
     """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
+
+
+def travel(planar: Planar2) -> np.ndarray:
+    """(2, 2) m, shortest and longest commanded length."""
+    return planar.strut_range
+
+
+def home(planar: Planar2) -> np.ndarray:
+    """(2,) m, the middle of the strut ranges."""
+    return planar.strut_range.mean(axis=1)
+
+
+def loads(T: RigidTransform, lengths: np.ndarray, planar: Planar2, wrench: np.ndarray) -> np.ndarray:
+    """(n, 2) N with which the struts push the hinge to hold a wrench (n, 6); what lies across the plane its guide bears."""
+    return np.linalg.solve(np.swapaxes(jacobian(T, planar)[..., :2], 1, 2), -wrench[..., :2, None])[..., 0]
+
+
+def links(T: RigidTransform, lengths: np.ndarray, planar: Planar2, gravity: np.ndarray) -> np.ndarray:
+    """(n, 2, 0): struts' own weight rests on the base."""
+    return np.zeros((*np.shape(lengths), 0))
+
+
+def grown(T: RigidTransform, lengths: np.ndarray, planar: Planar2, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(deviation (n, 2) m, sway (n, 6)) of struts grown by shares (n, 2) of their length: each is longer, nothing else moves."""
+    return share * lengths, np.zeros((len(share), 6))
+
+
+def ends(T: RigidTransform, planar: Planar2) -> tuple[np.ndarray, np.ndarray]:
+    """(base joints (2, 3), hinge once for each strut (n, 2, 3)) m in the base frame at poses T (n,)."""
+    return np.pad(planar.base_joints, ((0, 0), (0, 1))), np.repeat(T.translation[:, None], 2, axis=1)

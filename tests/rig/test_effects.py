@@ -8,7 +8,6 @@ import pytest
 from rig import machine
 from rig.effects import ALL, BY_NAME
 from rig.effects.base import check
-from rig.effects.kinetics import axial_forces
 from rig.effects.parse import from_dict, parse, to_dict
 from rig.errors import RigError
 from rig.pose import difference
@@ -16,7 +15,7 @@ from rig.recording import Commands
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
-PLACES = {"strut": "strut 3", "rig": "rig", "clock": "clock", "camera": "camera cam1", "cameras": "cameras", "marker": "marker 4",
+PLACES = {"axis": "strut 3", "rig": "rig", "clock": "clock", "camera": "camera cam1", "cameras": "cameras", "marker": "marker 4",
           "markers": "markers", "target": "target P2"}
 EVERYWHERE = [(kind, PLACES[place]) for kind in ALL for place in kind.places]
 SOME = {  # one instance of each, of a size that rigs show
@@ -29,7 +28,8 @@ SOME = {  # one instance of each, of a size that rigs show
     "focal_drift": "cameras:per_kelvin=1e-4", "camera_drift": "cam1:motion=1e-4/0/0/0/1e-4/0,time_constant=900",
     "camera_bump": "cam1:motion=1e-4/0/0/0/1e-4/0,time=50", "rolling_shutter": "cameras:row_time=2e-5", "refraction": "cam1:thickness=5e-3",
     "edge_bias": "cameras:bias=0.2", "print_scale": "markers:scale=1e-3", "face_misplacement": "4:offset=2e-4/0/0,rotation=0/0/0.01",
-    "cube_misplacement": "P2:motion=2e-4/0/0/0/0/0.01", "marker_swap": "4:turn=1",
+    "cube_misplacement": "P2:motion=2e-4/0/0/0/0/0.01", "marker_swap": "4:turn=1", "axis_coupling": "strut3:scale=1e-3,other=5",
+    "settling_error": "strut3:fraction=2e-3",
 }
 
 
@@ -43,7 +43,7 @@ def corners(setting, effects):
 
 
 def test_the_catalogue_is_whole():
-    assert len(ALL) == len(BY_NAME) == 28 and set(SOME) == set(BY_NAME)
+    assert len(ALL) == len(BY_NAME) == 30 and set(SOME) == set(BY_NAME)
     for kind in ALL:
         assert kind.stage in ("command", "struts", "structure", "targets", "view") and kind.places and kind.parameters and kind.experiment
         for parameter in kind.parameters:
@@ -102,7 +102,7 @@ def test_forces_balance_the_weight(setting):
     design, commands, t, sensors = setting
     state = machine.motion(design, commands, t, (), sensors)
     run = machine.run(design, commands, t)
-    forces = axial_forces(replace(state, T=run.T_base_platform))
+    forces = replace(state, T=run.T_base_platform).loads()
     tips = run.T_base_platform.as_matrix()[:, None, :3, :3] @ design.mechanism.platform_joints[..., None]
     tips = tips[..., 0] + run.T_base_platform.translation[:, None]
     u = tips - design.mechanism.base_joints
