@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from rig import mechanisms, table
+from rig.design import Design
 from rig.origin import Origin
 from rig.errors import RigError
 from rig.pose import pose
@@ -20,7 +21,7 @@ from rig.recording import Commands
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure
 SPEED = 0.5  # of the actuator's top speed
-UNSTATED_SPEED = 0.02  # m/s where the design states none
+UNSTATED_SPEED = {"m": 0.02, "rad": 0.5}  # m/s or rad/s where the design states none
 STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
@@ -148,10 +149,9 @@ def build(design, text, seed=0, one_sided=False):
     Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, zigzag:N, warmup:N, repeat:N
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
     """
-    mechanism = design.mechanism
-    if mechanism.kind not in ("hexapod", "planar2"):
-        raise RigError(f"a mechanism of kind {mechanism.kind!r} cannot be planned for; hexapod and planar2 can")
-    strokes = mechanism.strut_range
+    if not design.mechanism.axes:
+        raise RigError(f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command")
+    strokes = strokes_of(design)
     writer = _Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
@@ -176,7 +176,7 @@ def _visit(configurations):
 
 def _ladder(writer, design, steps, rng):
     """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
-    strokes = design.mechanism.strut_range
+    strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
     reaches = np.geomspace(1 / 64, 1, steps or 4)
     for axis in range(len(strokes)):
@@ -189,7 +189,7 @@ def _ladder(writer, design, steps, rng):
 
 def _payload(writer, design, count, rng):
     """The same configurations without and with a load of 0.6 of the platform's mass."""
-    goals = low_discrepancy(design.mechanism.strut_range, count or 12, seed=int(rng.integers(1 << 30)))
+    goals = low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30)))
     for mass in (0.0, 0.6 * (design.platform.mass or 1.0), 0.0):
         writer.dwell(20.0)
         writer.payload.append((writer.t[-1], mass))
@@ -200,7 +200,7 @@ def _payload(writer, design, count, rng):
 
 def _moving(writer, design, count, rng):
     """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
-    strokes = design.mechanism.strut_range
+    strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
     seconds = (count or 60) * EXPOSE_EVERY + 2.0
     rates = rng.uniform(0.2, 0.6, (2, len(strokes)))
@@ -221,7 +221,7 @@ def _moving(writer, design, count, rng):
 
 def _zigzag(writer, design, count, rng):
     """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
-    strokes = design.mechanism.strut_range
+    strokes = strokes_of(design)
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
     writer.go(strokes.mean(axis=1) - leg / 2)
     writer.dwell(1.0)
@@ -233,15 +233,15 @@ def _zigzag(writer, design, count, rng):
 
 def _warmup(writer, design, count, rng):
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
-    goals = low_discrepancy(design.mechanism.strut_range, 11, seed=int(rng.integers(1 << 30)))
+    goals = low_discrepancy(strokes_of(design), 11, seed=int(rng.integers(1 << 30)))
     for k in range(count or 48):
-        writer.settle(design.mechanism.strut_range.mean(axis=1) if k % 2 else goals[k // 2 % len(goals)])
+        writer.settle(strokes_of(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)])
         writer.dwell(4 * 3600 / (count or 48))
 
 
 def _repeat(writer, design, count, rng):
     """Three configurations approached again and again from everywhere: what repeatability is."""
-    strokes = design.mechanism.strut_range
+    strokes = strokes_of(design)
     goals = low_discrepancy(strokes, 3, seed=1)
     for k in range(count or 30):
         writer.go(_scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
@@ -253,24 +253,30 @@ def _commands(writer, design, file, rng):
     values = rows.matrix(design.mechanism.axes)
     beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
-        rows.fail(f"strut {np.flatnonzero(beyond[i])[0] + 1} is commanded out of its range", i)
+        rows.fail(f"{mechanisms.places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)
     for goal in values:
         writer.settle(goal)
 
 
 PARTS = {
-    "sobol": _visit(lambda design, count, rng: low_discrepancy(design.mechanism.strut_range, count or 100, seed=int(rng.integers(1 << 30)))),
-    "grid": _visit(lambda design, count, rng: grid(design.mechanism.strut_range, count or 2)),
-    "simplices": _visit(lambda design, count, rng: simplices(design.mechanism.strut_range, count or 2)),
+    "sobol": _visit(lambda design, count, rng: low_discrepancy(strokes_of(design), count or 100, seed=int(rng.integers(1 << 30)))),
+    "grid": _visit(lambda design, count, rng: grid(strokes_of(design), count or 2)),
+    "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
 }
 
 
-def speed_of(design):
-    """m/s at which a plan moves the struts of a design."""
-    top = design.actuator.max_speed
-    return SPEED * top if top else UNSTATED_SPEED
+def strokes_of(design: Design) -> np.ndarray:
+    """(axes, 2) m or rad between which the axes of a design may be commanded."""
+    return mechanisms.of(design.mechanism).travel(design.mechanism)
+
+
+def speed_of(design: Design) -> float:
+    """m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of struts."""
+    unit = mechanisms.of(design.mechanism).UNIT
+    top = design.actuator.max_speed if unit == "m" else None
+    return SPEED * top if top else UNSTATED_SPEED[unit]
 
 
 def logged(plan, sensors):

@@ -32,6 +32,6 @@ def again(folder):
     out = {}
     for kind in KINDS:
         part = secret if kind == "with" else replace(secret, effects=())
-        rolls = any(c.shutter == "rolling" for c in part.true.cameras) or any(e.name == "rolling_shutter" for e in part.effects)
+        rolls = any(c.shutter == "rolling" for c in part.true.cameras) or any(e.rolls for e in part.effects)
         out[kind] = Simulation(part, plan, sensors, sensors, machine.run(part.true, plan.commands, t, part.effects, sensors, rates=rolls))
     return out

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import design_file, layout
+from rig import design_file, layout, machine, mechanisms
 from rig.effects import ALL
+from rig.effects.base import MOTION_STAGES
+from rig.effects.drawing import Drawing
 from rig.errors import RigError
 from rig.plan import build
 from rig.recording import Sensors
@@ -43,8 +45,8 @@ class Trial:
     rng: np.random.Generator
 
 
-def schedule(seed, index, kinds=KINDS):
-    """(kind, catalogue numbers of its effects, rng) of trial `index` of a season: each effect comes up as often as the others."""
+def schedule(seed, index, kinds=KINDS, catalogue=len(ALL)):
+    """(kind, numbers of its effects in a catalogue of so many, rng) of trial `index` of a season: each comes up as often as the others."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -52,7 +54,7 @@ def schedule(seed, index, kinds=KINDS):
     count = {"one": 1, "two": 2}.get(kind, 0)
     numbers = []
     for k in range(before, before + count):
-        numbers.append(int(np.random.default_rng([seed, 2, k // len(ALL)]).permutation(len(ALL))[k % len(ALL)]))
+        numbers.append(int(np.random.default_rng([seed, 2, k // catalogue]).permutation(catalogue)[k % catalogue]))
     return kind, numbers, np.random.default_rng([seed, 3, index])
 
 
@@ -61,9 +63,8 @@ def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
-    kind, numbers, rng = schedule(seed, index, kinds)
     catalogue = [e for e in ALL if e.name in effects] or ALL
-    numbers = [n % len(catalogue) for n in numbers]
+    kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
     if len(numbers) == 2 and numbers[0] == numbers[1]:
         numbers[1] = (numbers[1] + 1) % len(catalogue)
     for _ in range(TRIES - 1):
@@ -119,59 +120,25 @@ def _effect(kind, design, route, rng):
     place = str(rng.choice(kind.places))
     camera = design.cameras[rng.integers(len(design.cameras))]
     target = design.targets[rng.integers(len(design.targets))]
-    place += {"strut": f" {rng.integers(1, 7)}", "camera": f" {camera.name}", "target": f" {target.name}",
-              "marker": f" {target.ids[rng.integers(len(target.ids))]}"}.get(place, "")
-    if kind.name == "lens_distortion":
-        return _lens(kind, place, camera, rng)
-    if kind.name == "transmission_error":
-        profile = np.cumsum(rng.normal(size=rng.integers(6, 12)))
-        profile -= profile.mean()
-        return kind(place, tuple((profile * _log(rng, *kind.parameters[0].usual) / np.sqrt(np.mean(profile**2))).tolist()))
-    if kind.name == "marker_swap":
-        same = [i for i in target.ids if i != int(place.split(" ")[1])]
-        return kind(place, other=float(rng.choice(same))) if rng.random() < 0.5 else kind(place, turn=float(rng.integers(1, 4)))
-    if kind.name == "screw_coupling" and design.actuator.joints != "cardan-cardan":
-        raise RigError("a ball turns no nut")
-    return kind(place, **{p.name: _value(kind, p, route, rng) for p in kind.parameters if p.name != "since" or rng.random() < 0.25})
+    axes = mechanisms.places(design.mechanism)
+    place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
+             "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
+    sensors, _ = world.weather(float(route.t[-1]), np.random.default_rng(0), world.struts_of(design.mechanism))
+    motion = machine.motion(design, route.commands, route.t, (), sensors)
+    reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
+    if reason:
+        raise RigError(f"{kind.name} {reason}")
+    return kind.drawn(place, Drawing(design, route.t, motion, _displaced), rng)
 
 
-def _value(kind, p, route, rng):
-    low, high = p.usual
-    if p.role == "moment":
-        return float(rng.uniform(*np.quantile(route.t, [0.1, 0.9])))
-    if p.role == "choice":
-        return float(rng.integers(low, high + 1))
-    if p.role in ("phase", "even"):
-        return float(rng.uniform(low, high))
-    size = _log(rng, low, high)
-    if p.size == 1:
-        return float(rng.choice([-1, 1]) * size) if p.signed else size
-    return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
-
-
-def _lens(kind, place, camera, rng):
-    """What a lens lacks: higher radial terms, a thin prism, or a smooth warp, 0.05 to 2 px RMS over the image."""
-    size, which = _log(rng, 0.05, 2), rng.integers(3)
-    if which == 2:
-        return kind(place, warp=_sized(lambda c: kind(place, warp=c), 14, range(14), camera, size, rng))
-    return kind(place, terms=_sized(lambda c: kind(place, terms=c), 12, ((5, 6, 7), (8, 9, 10, 11))[which], camera, size, rng))
-
-
-def _sized(make, length, free, camera, size, rng):
-    """Coefficients of which those that are free are drawn such that corners all over the image move by size px RMS."""
+def _displaced(effect, camera):
+    """px RMS by which an effect of a camera moves corners all over its image."""
     u, v = np.meshgrid(np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height)
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     points = np.column_stack([(uv - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]], np.ones(len(uv))])
-    unit = np.zeros(length)
-    unit[list(free)] = rng.normal(size=len(free)) * 1e-3
-
-    def seen(coefficients):
-        effect = make(tuple(coefficients.tolist()))
-        real = effect.camera(camera)
-        return effect.print_(camera, lens.project(points, real.matrix, real.distortion))
-
-    moved = np.sqrt(np.mean((seen(unit) - seen(0 * unit)) ** 2))
-    return tuple((unit * size / moved).tolist())
+    real = effect.camera(camera)
+    moved = effect.print_(camera, lens.project(points, real.matrix, real.distortion)) - lens.project(points, camera.matrix, camera.distortion)
+    return float(np.sqrt(np.mean(moved**2)))
 
 
 def write_recording(trial, folder):

@@ -1,4 +1,4 @@
-"""A world under a plan -> a recording folder, with images or with corners; the truth goes elsewhere."""
+"""A world under a plan -> a recording folder, with images, corners or an instrument's poses; the truth goes elsewhere."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +9,8 @@ from scipy.spatial.transform import RigidTransform
 from rig import machine
 from rig.files import write_text
 from rig.plan import logged
-from rig.pose import transform_points
-from rig.recording import LIMBS, Corners, Sensors
+from rig.pose import exp, transform_points, vector
+from rig.recording import LIMBS, POSE_COLUMNS, Corners, Sensors
 from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
@@ -45,9 +45,9 @@ class Simulation:
 def simulate(world, plan, rng):
     """Simulation of a world under a plan: the weather is drawn, the machine run. Raises what `machine.run` raises."""
     duration = plan.commands.t[-1]
-    true, log = worlds.weather(duration, rng, len(plan.commands.values[0]))
+    true, log = worlds.weather(duration, rng, worlds.struts_of(world.true.mechanism))
     sensors, log = logged(plan, true), logged(plan, log)
-    rolls = any(c.shutter == "rolling" for c in world.true.cameras) or any(e.name == "rolling_shutter" for e in world.effects)
+    rolls = any(c.shutter == "rolling" for c in world.true.cameras) or any(e.rolls for e in world.effects)
     run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=rolls)
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
@@ -116,10 +116,15 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None, sp
     write_table(out / "commands.csv", ("t", *axes), [f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
                                                       for t, values in zip(plan.commands.t, plan.commands.values)])
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"),
-                 [f"{f},{shown[t]},{c.name}," + (f"images/{c.name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t) for c in cameras])
+                 [f"{f},{shown[t]},{name}," + (f"images/{name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t)
+                  for name in ([c.name for c in cameras] or [""])])
     log = simulation.log
     write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
         f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
+    if simulation.world.stated.instrument is not None:
+        write_measured(out / "poses.csv", simulation.run.T_base_platform, simulation.world.stated.instrument, rng)
+    if not cameras or not simulation.world.stated.targets:
+        return
     if images is None:
         seen = corners(simulation, noise, rng)
         write_corners(out / "corners.csv", spoil(seen) if spoil else seen)
@@ -127,6 +132,14 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None, sp
         from synthetic.pictures import render
 
         render(simulation, out, images, int(rng.integers(1 << 62)), progress)
+
+
+def write_measured(path, T_base_platform, instrument, rng):
+    """Write poses.csv as an Instrument sees poses (n,): with its noise, and positions alone where it sees no rotations."""
+    sigma = np.repeat([instrument.position_sigma, instrument.rotation_sigma or 0.0], 3)
+    rows = vector(T_base_platform * exp(sigma * rng.normal(size=(len(T_base_platform), 6))))
+    columns = POSE_COLUMNS[: 3 if instrument.rotation_sigma is None else 6]
+    write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row[: len(columns)])]) for f, row in enumerate(rows)])
 
 
 def truth_corners(simulation):

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.design import Design
+from rig import mechanisms
+from rig.design import Arm, Design, Hexapod, Planar2
 from rig.effects.parse import from_dict, to_dict
-from rig.errors import FileError, RigError
+from rig.errors import FileError
 from rig.pose import exp, pose, vector
 from rig.recording import Sensors
 from rig.files import write_text
+from synthetic import machines
 
-JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
-ZERO = 3e-4  # m, of a strut's zero
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose
 FOCAL, CENTRE = 4e-4, 1.0  # of the focal length; px
 DISTORTION = np.array([1e-3, 5e-3, 5e-5, 5e-5, 0.0])  # of k1 k2 p1 p2 k3
@@ -34,16 +34,7 @@ class World:
 
 def draw(stated, rng, size=1.0, effects=()):
     """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at work."""
-    m = stated.mechanism
-    if m.kind == "hexapod":
-        m = replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
-                    platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
-                    strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6))
-    elif m.kind == "planar2":
-        m = replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
-                    strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
-    else:
-        raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; hexapod and planar2 can")
+    m = machines.drawn(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
     if limbs is not None:
@@ -63,10 +54,15 @@ def _camera(camera, rng, size):
     return replace(camera, pose=moved, matrix=matrix, distortion=camera.distortion + terms)
 
 
-def weather(duration, rng, struts=6):
-    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, the struts warm up by as much again.
+def struts_of(mechanism: Hexapod | Planar2 | Arm) -> int:
+    """How many struts a mechanism has: none for an arm."""
+    return len(mechanism.axes) if mechanisms.of(mechanism).AXIS == "strut" else 0
 
-    Channels ambient_temperature_C and strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.
+
+def weather(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
+    """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much again.
+
+    Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.
     """
     t = np.arange(0.0, duration + LOG_EVERY, LOG_EVERY)
     room = 20 + rng.uniform(-1, 1) + rng.uniform(0.3, 1.2) * np.sin(2 * np.pi * t / rng.uniform(3000, 9000) + rng.uniform(0, 6.28))
@@ -79,13 +75,10 @@ def weather(duration, rng, struts=6):
 
 def write_truth(path, world, T_base_platform, **more):
     """Write the truth of a recording as JSON: effects with parameters, joints, zeros, cameras, poses as row-major 4 x 4, and more."""
-    m = world.true.mechanism
-    tree = {"effects": [to_dict(effect) for effect in world.effects], "base_joints": m.base_joints.tolist(),
-            "strut_zeros": m.strut_zeros.tolist(), "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(),
+    tree = {"effects": [to_dict(effect) for effect in world.effects], **machines.written(world.true.mechanism),
+            "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(),
             "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
                         for c in world.true.cameras], **more}
-    if m.kind == "hexapod":
-        tree["platform_joints"] = m.platform_joints.tolist()
     if world.true.insitu is not None:
         tree["insitu"] = {name: getattr(world.true.insitu, name).tolist() for name in ("base_joints", "platform_joints", "zeros")}
     write_text(path, json.dumps(tree) + "\n")
@@ -95,8 +88,7 @@ def from_truth(path, stated):
     """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
     try:
         tree = json.loads(Path(path).read_text(encoding="utf-8"))
-        names = [name for name in ("base_joints", "platform_joints", "strut_zeros") if name in tree]
-        mechanism = replace(stated.mechanism, **{name: tree[name] for name in names})
+        mechanism = machines.read(stated.mechanism, tree)
         known = {entry["name"]: entry for entry in tree["cameras"]}
         cameras = tuple(replace(c, matrix=known[c.name]["matrix"], distortion=known[c.name]["distortion"],
                                 pose=pose(known[c.name]["pose"][:3], known[c.name]["pose"][3:])) for c in stated.cameras)

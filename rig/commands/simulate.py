@@ -49,8 +49,11 @@ def run(arguments):
     effects = tuple(parse(text) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
-    if not design.cameras or not design.targets:
-        raise RigError(f"{arguments.design} has {len(design.cameras)} cameras and {len(design.targets)} targets; simulating takes both")
+    if design.instrument is None and not (design.cameras and design.targets):
+        raise RigError(f"{arguments.design} has {len(design.cameras)} cameras, {len(design.targets)} targets and no [instrument]; simulating takes "
+                       "cameras and targets, or an instrument that sees poses")
+    if arguments.images and not (design.cameras and design.targets):
+        raise RigError(f"--images takes cameras and targets; {arguments.design} has {len(design.cameras)} and {len(design.targets)}")
 
     import numpy as np
 

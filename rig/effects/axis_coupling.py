@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.base import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.covariate import Covariate, travel
+from rig.effects.drawing import Drawing, value
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,11 @@ class AxisCoupling(Effect):
     def covariate(self, motion: Motion) -> Covariate:
         other = int(self.other) - 1
         return travel(np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home")
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "AxisCoupling":
+        others = [float(i + 1) for i, other in enumerate(drawing.motion.places) if other != place]
+        return cls(place, float(value(cls.parameters[0], drawing, rng)), float(rng.choice(others)))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

@@ -17,6 +17,7 @@ from rig.design import Camera
 from rig.effects.candidate import COUNT, QUADRATURE, Candidate, Linear
 from rig.effects.context import Context
 from rig.effects.covariate import Covariate
+from rig.effects.drawing import Drawing, value
 from rig.effects.grid import grid, step
 from rig.effects.motion import SOON, Motion, Path
 from rig.effects.parameter import Parameter
@@ -26,6 +27,7 @@ REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stat
 AXES = ("strut", "joint")  # what "axis" stands for among an effect's places
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
+SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
 
 
 class Effect:
@@ -207,6 +209,17 @@ class Effect:
             unit[j] = column.step
             out.append(candidate.effect(shape, unit).deviation(motion) / column.step)
         return np.stack(out, axis=-1)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Effect":
+        """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no moment) does so now and then."""
+        values = {}
+        for p in cls.parameters_at(place):
+            default = getattr(cls(place), p.name)
+            if p.role == "choice" or p.size == 0 or (p.role == "moment" and np.isinf(default) and rng.random() >= SELDOM):
+                continue
+            values[p.name] = value(p, drawing, rng)
+        return cls(place, **values)
 
     @classmethod
     def parameters_at(cls, place: str) -> tuple[Parameter, ...]:

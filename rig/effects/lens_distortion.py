@@ -7,8 +7,10 @@ import numpy as np
 
 from rig.design import Camera
 from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Parameter
+from rig.effects.drawing import Drawing, log_uniform
 
 LACKING = {"thin prism": (8, 9, 10, 11), "radial": (5, 6, 7), "both": (5, 6, 7, 8, 9, 10, 11)}  # terms that a lens may lack
+SIZES = (0.05, 2.0)  # px RMS over the image, of what lenses lack
 WARPS = (3, 5, 7)  # degrees of a smooth warp
 
 
@@ -46,6 +48,16 @@ class LensDistortion(Effect):
         if parameter.name == "terms" and self.warp:
             return ()  # a warp takes in whatever the lens' own terms could bend
         return tuple(i for i, value in enumerate(getattr(self, parameter.name)) if value)
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "LensDistortion":
+        size, which = log_uniform(rng, *SIZES), rng.integers(3)
+        free = range(count(WARPS[0])) if which == 2 else LACKING[("radial", "thin prism")[which]]
+        unit = np.zeros(count(WARPS[0]) if which == 2 else 12)
+        unit[list(free)] = rng.normal(size=len(free)) * 1e-3
+        name, camera = "warp" if which == 2 else "terms", drawing.design.camera(place.split(" ")[1])
+        moved = drawing.displaced(cls(place, **{name: tuple(unit.tolist())}), camera)
+        return cls(place, **{name: tuple((unit * size / moved).tolist())})
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

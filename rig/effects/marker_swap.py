@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Parameter
+from rig.effects.drawing import Drawing
 from rig.effects.sheet import moved
 from rig.pose import exp
 
@@ -25,6 +26,14 @@ class MarkerSwap(Effect):
     experiment: ClassVar = "look at the cube"
     action: ClassVar = "Correct the faces of that cube in rig.toml."
     discrete: ClassVar = True
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "MarkerSwap":
+        number = int(place.split(" ")[1])
+        target = next(target for target in drawing.design.targets if number in target.ids)
+        if rng.random() < 0.5:
+            return cls(place, other=float(rng.choice([i for i in target.ids if i != number])))
+        return cls(place, turn=float(rng.integers(1, 4)))
 
     def attach(self, markers: Any) -> Any:
         a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))

@@ -8,8 +8,10 @@ import numpy as np
 
 from rig.design import Camera
 from rig.effects.base import Candidate, Context, Effect, Parameter
+from rig.effects.drawing import Drawing, value
 
 INDEX = 1.5  # of the window's glass against air
+SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others
 STEEPEST = np.radians(60)  # to which a window may be tilted
 TILTS, TOWARDS = np.radians([20.0, 40.0]), np.arange(8) * np.pi / 4  # of windows that are looked for, besides one square to the camera
 
@@ -62,6 +64,14 @@ class Refraction(Effect):
 
     def written(self) -> Self:
         return replace(self, normal=tuple((np.asarray(self.normal) / np.linalg.norm(self.normal)).tolist()))
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Refraction":
+        thickness = float(value(cls.parameters[0], drawing, rng))
+        if rng.random() < SQUARE:
+            return cls(place, thickness)
+        tilt, toward = rng.uniform(0, MOST), rng.uniform(0, 2 * np.pi)
+        return cls(place, thickness, (float(np.sin(tilt) * np.cos(toward)), float(np.sin(tilt) * np.sin(toward)), float(np.cos(tilt))))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

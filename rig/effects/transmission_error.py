@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.covariate import Covariate, travel
+from rig.effects.drawing import Drawing, log_uniform
 from rig.effects.grid import step
 
 KNOTS = (5, 9, 14)  # of a strut's profile
@@ -58,6 +59,12 @@ class TransmissionError(Effect):
         span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
         counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "TransmissionError":
+        profile = np.cumsum(rng.normal(size=rng.integers(6, 12)))
+        profile -= profile.mean()
+        return cls(place, tuple((profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()))
 
     @classmethod
     def _of(cls, place: str, shape: dict, p: Parameter) -> Candidate:

@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.base import QUADRATURE, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.covariate import Covariate
+from rig.effects.drawing import Drawing
 
 ROUNDS = 30  # of one factor after the other; each brings them nearer
 
@@ -26,7 +27,7 @@ class Vibration(Effect):
     places: ClassVar = ("rig",)
     parameters: ClassVar = (Parameter("amplitude", "m", (0, 5e-3), (1e-6, 1e-4)),
                             Parameter("frequency", "Hz", (1e-4, 1e3), (0.1, 50), role="frequency"),
-                            Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.1, 10), 6, role="direction"),
+                            Parameter("mode", "1, 1/m", (-1e3, 1e3), (0.5, 2), 6, role="direction"),
                             Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"))
     experiment: ClassVar = "many exposures of one pose at irregular times"
     action: ClassVar = "Find what shakes at that frequency (pump, fan, floor) and decouple the rig, or expose for whole periods."
@@ -63,6 +64,10 @@ class Vibration(Effect):
 
     def _angle(self, motion: Motion) -> np.ndarray:
         return 2 * np.pi * self.frequency * motion.t + self.phase
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Vibration":
+        return super(Vibration, cls).drawn(place, drawing, rng).written()
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

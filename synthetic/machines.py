@@ -1,0 +1,58 @@
+"""The secret geometry of a machine: drawn about what its owner states, written into a truth file and read back."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.design import Arm, Design, Hexapod, Planar2
+from rig.errors import RigError
+from rig.pose import pose, vector
+
+JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
+ZERO = 3e-4  # m, of a strut's zero
+ROW = np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0])  # rad, m, m, rad, rad: of an arm's theta, d, a, alpha, beta
+ASKEW = 1e-4  # rad, greatest of axes that are parallel by design
+AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
+GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",)}
+PLACES = ("base", "tool")  # of an arm, as poses
+
+
+def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm:
+    """The mechanism of a stated design as it really is. size : multiplies every deviation. Raises RigError for what cannot be simulated."""
+    m = stated.mechanism
+    if m.kind == "hexapod":
+        return replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(6, 3)),
+                       platform_joints=m.platform_joints + size * JOINT * rng.normal(size=(6, 3)),
+                       strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=6))
+    if m.kind == "planar2":
+        return replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
+                       strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
+    if m.kind == "arm":
+        return _arm(stated, rng, size)
+    raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
+
+
+def _arm(stated: Design, rng: np.random.Generator, size: float) -> Arm:
+    m, instrument = stated.mechanism, stated.instrument
+    rows = m.rows + size * ROW * rng.normal(size=m.rows.shape)
+    flat = np.abs(np.cos(m.rows[:, 3])) > 0.999
+    rows[flat, 3:] = m.rows[flat, 3:] + size * ASKEW * rng.uniform(-1, 1, (flat.sum(), 2))
+    ends = [m.base, m.tool]
+    for k, (place, far) in enumerate(zip(PLACES, (AWAY, HAND))):
+        if instrument is not None and getattr(instrument, place) == "free":
+            ends[k] = pose(far * rng.uniform(-1, 1, 3), rng.normal(size=3))
+    return replace(m, joints=rows, base=ends[0], tool=ends[1])
+
+
+def written(mechanism: Hexapod | Planar2 | Arm) -> dict[str, list]:
+    """{name: numbers} of a mechanism for a truth file."""
+    tree = {name: getattr(mechanism, name).tolist() for name in GEOMETRY[mechanism.kind]}
+    return tree | ({name: vector(getattr(mechanism, name)).tolist() for name in PLACES} if mechanism.kind == "arm" else {})
+
+
+def read(stated: Hexapod | Planar2 | Arm, tree: dict) -> Hexapod | Planar2 | Arm:
+    """The mechanism of such a dict, as far as it says; the rest as stated. Raises KeyError, TypeError or ValueError for what is none."""
+    found = {name: tree[name] for name in GEOMETRY[stated.kind] if name in tree}
+    if stated.kind == "arm":
+        found |= {name: pose(tree[name][:3], tree[name][3:]) for name in PLACES if name in tree}
+    return replace(stated, **found)
