@@ -32,6 +32,7 @@ EFFECTS = [
     "rolling_shutter:cameras:row_time=2e-5", "rolling_shutter:cam1:row_time=2e-5", "refraction:cam1:thickness=5e-3",
     "edge_bias:cameras:bias=0.1", "edge_bias:cam1:bias=0.1", "print_scale:markers:scale=1e-3", "face_misplacement:8:offset=2e-4/0/0",
     "cube_misplacement:P2:motion=2e-4/0/0/0/0/0", "marker_swap:8:turn=1",
+    "axis_coupling:strut3:scale=1e-3,other=5", "settling_error:strut3:fraction=1e-3",
 ]
 PARALLEL = 0.99  # cosine from which signatures count as the same
 SEEN = 0.02  # share of the raw effect that calibration must leave for it to be visible at all

@@ -1,0 +1,63 @@
+"""The catalogue as a page, made from the effects themselves: `python -m rig.effects.catalogue > docs/effects.md`."""
+
+from collections.abc import Iterable
+
+from rig.effects import ALL
+from rig.effects.base import AXES, Effect
+from rig.effects.parameter import Parameter
+
+STAGES = {"command": "what the axes are told, and when", "struts": "what the axes do beyond their command",
+          "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
+HEAD = """# The catalogue of left-out physics
+
+This page is made from the effects themselves (`python -m rig.effects.catalogue`). An effect is one file in `rig/effects`: its model, its
+parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and what to do about it.
+A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..`, the numbers of a vector parted by slashes. An axis is a strut (m)
+or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
+"""
+
+
+def page(effects: Iterable[type[Effect]] = ALL) -> str:
+    """The catalogue in Markdown, stage by stage."""
+    found = list(effects)
+    parts = [HEAD]
+    for stage, meaning in STAGES.items():
+        members = [effect for effect in found if effect.stage == stage]
+        if members:
+            parts.append(f"\n## {stage.capitalize()}: {meaning}\n")
+            parts += [entry(effect) for effect in members]
+    return "".join(parts)
+
+
+def entry(effect: type[Effect]) -> str:
+    """One effect's part of the page."""
+    rows = [row(p, effect) for p in effect.parameters]
+    return (f"\n### {effect.name}\n\n{_prose(effect.__doc__)}\n\n"
+            f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
+            "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
+            f"Shown by: {effect.experiment}.\n\nWhat to do: {effect.action.format(axis='axis')}\n")
+
+
+def row(p: Parameter, effect: type[Effect]) -> str:
+    """One parameter as a row of the table."""
+    name = p.name if p.size == 1 else f"{p.name} ({p.size or 'any'})"
+    joint = p.at(f"{AXES[1]} 1")
+    turned = f"{_range(joint.usual)} {joint.unit}".strip() if joint is not p and p.role != "choice" else ""
+    usual = "" if p.role in ("choice", "moment") else _range(p.usual)
+    return f"| {name} | {p.unit} | {usual} | {_range(p.bounds)} | {turned} |"
+
+
+def _range(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:g} to {ends[1]:g}"
+
+
+def _place(kind: str) -> str:
+    return {"axis": "`strut N` or `joint N`", "camera": "`camera NAME`", "marker": "`marker ID`", "target": "`target NAME`"}.get(kind, f"`{kind}`")
+
+
+def _prose(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    print(page(), end="")
