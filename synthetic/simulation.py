@@ -10,7 +10,8 @@ from rig import machine
 from rig.files import write_text
 from rig.plan import logged
 from rig.pose import exp, transform_points, vector
-from rig.recording import LIMBS, POSE_COLUMNS, Corners, Sensors
+from rig.recording import LIMBS, Corners, Sensors
+from rig.observed import POSE_COLUMNS
 from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
