@@ -86,10 +86,8 @@ def _prepare():
     for effect in simulation.world.effects:
         markers = effect.attach(markers)
     parts = scene.parts(design, images.background, np.random.default_rng(seed), markers)
-    shifts = _sub_exposures(images.sensor)
-    poses = [simulation.run.T_base_platform if shift == 0 else simulation.at_times(simulation.plan.t + shift) for shift in shifts]
     cv2.setNumThreads(1)
-    _state.update(design=design, renderer=Renderer(parts, design), exposures=list(zip(shifts, poses)))
+    _state.update(design=design, renderer=Renderer(parts, design), exposures=_exposures())
 
 
 def _draw(item):
@@ -97,12 +95,40 @@ def _draw(item):
     f, i = item
     if "renderer" not in _state:
         _prepare()
-    images, camera, seed = _state["images"], _state["design"].cameras[i], _state["seed"]
-    rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
-    radiance = sum(_picture(camera, i, f, shift, T[f]) for shift, T in _state["exposures"]) / np.float32(len(_state["exposures"]))
-    image = expose(radiance, images.sensor, rng, SAMPLES)
+    images, camera = _state["images"], _state["design"].cameras[i]
+    image = _exposed(f, i, images.sensor)
     path = _state["out"] / "images" / camera.name / f"{f:05d}.png"
     write_bytes(path, cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])[1].tobytes())
+
+
+def _exposed(f, i, sensor):
+    """The image of (frame, camera index) by a sensor."""
+    seed, exposures = _state["seed"], _state["exposures"]
+    rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
+    radiance = sum(_picture(_state["design"].cameras[i], i, f, shift, T[f]) for shift, T in exposures) / np.float32(len(exposures))
+    return expose(radiance, sensor, rng, SAMPLES)
+
+
+def picture(simulation, f, i, images, seed):
+    """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for a world.
+
+    simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
+    Raises what `render` raises
+    """
+    if "renderer" in _state and _state["simulation"].world is not simulation.world:
+        _state.pop("renderer").close()
+    if "renderer" not in _state:
+        check_drawable(simulation.world.effects)
+        _start(simulation, None, images, seed)
+        _prepare()
+    _state.update(simulation=simulation, images=images, seed=seed, exposures=_exposures())
+    return _exposed(f, i, images.sensor)
+
+
+def _exposures():
+    """[(s before or after the middle of the exposure, T_base_platform at all frames)] of the pictures that make an image."""
+    simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
+    return [(shift, simulation.run.T_base_platform if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
 
 
 def _sub_exposures(sensor):

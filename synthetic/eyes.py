@@ -1,0 +1,100 @@
+"""The cameras and sensors of an emulated rig: drawn, and read, at the pose that its struts truly give it at the moment of asking."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig import machine
+from rig.cameras.emulated import USUAL
+from rig.errors import RigError
+from rig.plan import Plan
+from rig.pose import transform_points
+from rig.recording import Commands, Sensors
+from synthetic import world as worlds
+from synthetic.pictures import Images, picture
+from synthetic.simulation import Simulation
+from synthetic.world import World
+
+LONGEST = 24 * 3600.0  # s that the weather lasts; beyond it stays as it was
+Told = Callable[[], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weather:
+    """true, log : Sensors, as it truly is and as thermometers have it."""
+
+    true: Sensors
+    log: Sensors
+
+
+class Eyes:
+    """What cameras and sensors of a world show. images : Images; seed : of weather and noise
+    told : the struts' history so far, (k,) s and (k, n) m, straight between; where they stand after its end they stay."""
+
+    def __init__(self, world: World, images: Images, seed: int, told: Told) -> None:
+        self.world, self._images, self._seed, self._told, self._count = world, images, seed, told, 0
+        self._weather = Weather(*worlds.weather(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
+        self._start: float | None = None
+
+    def image(self, name: str, t: float, exposure: float) -> np.ndarray:
+        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated brightness)."""
+        names = [camera.name for camera in self.world.true.cameras]
+        if name not in names:
+            raise RigError(f"no camera {name!r}; there are {', '.join(names)}")
+        sensor = replace(self._images.sensor, gain=self._images.sensor.gain * exposure / USUAL)
+        self._count += 1
+        return picture(self._now(t), 0, names.index(name), replace(self._images, sensor=sensor), self._seed + self._count)
+
+    def pose(self, t: float) -> np.ndarray:
+        """(4, 4) T_base_platform as it truly is at t (s)."""
+        return self._now(t).run.T_base_platform.as_matrix()[0]
+
+    def sensors(self, t: float) -> dict[str, float]:
+        """{channel: value} as thermometers and measuring limbs read at t (s)."""
+        now = self._now(t)
+        log = {name: float(np.interp(now.plan.t[0], self._weather.log.t, values)) for name, values in self._weather.log.channels.items()}
+        limbs = self.world.true.insitu
+        if limbs is None:
+            return log
+        self._count += 1
+        noise = limbs.length_sigma * np.random.default_rng([self._seed, self._count]).normal(size=6)
+        legs = transform_points(now.run.T_base_platform, limbs.platform_joints)[0] - limbs.base_joints
+        read = np.linalg.norm(legs, axis=-1) - limbs.zeros + noise
+        return log | {f"m{i + 1}": float(value) for i, value in enumerate(read)}
+
+    def _now(self, t: float) -> Simulation:
+        """The machine at t (s), after all that its struts have done."""
+        times, lengths = self._told()
+        self._start = float(times[0]) if self._start is None else self._start
+        past = times < t
+        at = np.array([np.interp(t, times, column) for column in lengths.T])
+        commands = Commands(np.r_[times[past], t] - self._start, np.vstack([lengths[past], at]))
+        when, weather = np.array([t - self._start]), self._weather.true
+        plan = Plan(commands, when, np.array([(0.0, 0.0)]))
+        rolls = any(c.shutter == "rolling" for c in self.world.true.cameras) or any(e.name == "rolling_shutter" for e in self.world.effects)
+        loaded = replace(weather, channels={**weather.channels, "payload_mass_kg": np.zeros(len(weather.t))})
+        run = machine.run(self.world.true, commands, when, self.world.effects, loaded, rates=rolls)
+        return Simulation(self.world, plan, loaded, self._weather.log, run)
+
+
+class ToldByFile:
+    """The history that an emulator writes as it happens (rig.emulator.History), read on from where it was left."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._at, self._rest = Path(path), 0, ""
+        self._rows: list[list[float]] = []
+
+    def __call__(self) -> tuple[np.ndarray, np.ndarray]:
+        """((k,) s, (k, n) m) so far. Raises RigError where there is nothing yet."""
+        with open(self._path, encoding="utf-8") as file:
+            file.seek(self._at)
+            text = file.read()
+            self._at = file.tell()
+        *lines, self._rest = (self._rest + text).split("\n")
+        self._rows += [[float(cell) for cell in line.split(",")] for line in lines if line and not line.startswith("t,")]
+        if not self._rows:
+            raise RigError(f"{self._path} says nothing yet of where the struts stand")
+        rows = np.array(self._rows)
+        return rows[:, 0], rows[:, 1:]
