@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib import insitu
 from calib.correction import Correction
 from calib.jumps import Change
 from calib.online import Online
+from calib.samples import Samples
 from calib.store import Calibration
 from rig import mechanisms
-from rig.design import Hexapod
+from rig.design import Design, Hexapod
 from rig.pose import difference
 
 LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad measurement, five are a drift
@@ -66,3 +68,29 @@ class Learner:
         size = float(np.linalg.norm(middle[:3])), float(np.linalg.norm(middle[3:]))
         before, self._drifting = self._drifting, size[0] > self._tolerance[0] or size[1] > self._tolerance[1]
         return size if self._drifting and not before else None
+
+
+class LimbWatch:
+    """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with vision."""
+
+    def __init__(self, design: Design) -> None:
+        self._nominal, self._sigma = insitu.stated(design), design.insitu.length_sigma
+        self._read: list[tuple[np.ndarray, RigidTransform, np.ndarray]] = []
+        self._limbs: insitu.Limbs | None = None
+        self._agreed = True
+
+    def take(self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> bool:
+        """Whether limbs that read lengths (6,) m newly disagree with vision's pose and its covariance (6, 6)."""
+        if self._limbs is None:
+            self._read.append((lengths, T_base_platform, covariance))
+            if len(self._read) == insitu.FEWEST:
+                n = np.arange(insitu.FEWEST)
+                read, poses, covariances = zip(*self._read)
+                samples = Samples(n, n.astype(float), np.array(read), RigidTransform.concatenate(poses), np.array(covariances),
+                                  np.zeros((insitu.FEWEST, 6, 0)))
+                self._limbs = insitu.calibrated(samples, self._nominal, self._sigma)[0]
+            return False
+        T = self._limbs.pose(lengths)
+        own, common = self._limbs.uncertainty(T)
+        before, self._agreed = self._agreed, insitu.still_agrees(T_base_platform, covariance, T, own, common)
+        return before and not self._agreed

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.errors import RigError
-from rig.journal import Arrival, Began, Departure, Ended, Exposed, Homed, Readings, Resumed, Row, sync_folder
+from rig.journal import Arrival, Began, Departure, Ended, Exposed, Readings, Resumed, Row, sync_folder
 from rig.files import write_text
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
@@ -49,7 +49,7 @@ class Growing:
 
     def _lines(self, row: Row) -> list[tuple[str, str]]:
         """(file, text) of each line that a row adds."""
-        if isinstance(row, Began | Resumed | Homed):
+        if isinstance(row, Began | Resumed):
             return self._stand(row.t, row.position)
         if isinstance(row, Departure):
             return self._stand(row.t, row.start)

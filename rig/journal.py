@@ -40,15 +40,6 @@ class Resumed:
 
 
 @dataclass(frozen=True, slots=True)
-class Homed:
-    """The struts have found their zeros again. position : m, where they then stood."""
-
-    kind: ClassVar[str] = "homed"
-    t: float
-    position: Lengths
-
-
-@dataclass(frozen=True, slots=True)
 class Departure:
     """A move is about to be sent. step : of the plan, from 0; start, goal : m"""
 
@@ -112,7 +103,7 @@ class Ended:
     reason: str
 
 
-Row = Began | Resumed | Homed | Departure | Arrival | Exposed | Readings | Remark | Ended
+Row = Began | Resumed | Departure | Arrival | Exposed | Readings | Remark | Ended
 KINDS = {row.kind: row for row in Row.__args__}
 
 

@@ -13,7 +13,7 @@ from rig.cameras.together import Shutter
 from rig.clock import Clock
 from rig.errors import RigError, Stopped
 from rig.growing import Growing
-from rig.journal import Arrival, Departure, Ended, Exposed, Homed, Journal, Readings, Remark, Resumed, Row, sync_folder
+from rig.journal import Arrival, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, Row, sync_folder
 from rig.progress import Progress, progress, verdict
 from rig.steps import Step
 from rig.way import Way
@@ -26,9 +26,6 @@ class Machine(Protocol):
 
     def move(self, lengths: np.ndarray) -> object:
         """Go there; returns once the axes stand and were read back within tolerance. Raises MotionError otherwise."""
-
-    def home(self) -> object:
-        """Find the zeros."""
 
     def stop(self) -> object:
         """Stop the axes now."""
@@ -100,16 +97,17 @@ class Operator:
             self._end(error)
             raise
 
-    def home(self) -> None:
-        """Have the struts find their zeros."""
-        self.bench.machine.home()
-        self.write(Homed(self.now(), self._read()))
+    def go_on(self, homed: bool = False) -> str:
+        """Read the position after another process ended, and write down what it says of the move that was under way; returns that.
 
-    def go_on(self) -> str:
-        """Read the position after another process ended, and write down what it says of the move that was under way; returns that."""
+        homed : whether the struts were homed before, so that their position says nothing of it
+        """
         state = progress(self._journal.rows, self.planned)
         position = self._read()
-        found, there = verdict(state, self.planned, np.array(position), self.bench.tolerance)
+        if homed:
+            found, there = f"the struts had to be homed; step {state.step + 1} is gone to from there", False
+        else:
+            found, there = verdict(state, self.planned, np.array(position), self.bench.tolerance)
         goal = tuple(self.planned[state.step].goal.tolist())
         self.write(Resumed(self.now(), goal if there else position, found))
         if state.pending is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.errors import RigError
-from rig.journal import Arrival, Began, Departure, Ended, Exposed, Homed, Readings, Remark, Resumed, Row
+from rig.journal import Arrival, Began, Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.steps import Step
 
 
@@ -43,9 +43,9 @@ def progress(rows: list[Row], planned: tuple[Step, ...]) -> Progress:
             pending, arrived, position = row, False, np.array(row.start)
         elif isinstance(row, Arrival):
             pending, arrived, position = None, row.reached, np.array(row.position)
-        elif isinstance(row, Homed | Resumed):
+        elif isinstance(row, Resumed):
             position = np.array(row.position)
-            arrived = arrived and isinstance(row, Resumed) and bool(np.abs(position - planned[step].goal).max() <= 0)
+            arrived = arrived and bool(np.abs(position - planned[step].goal).max() <= 0)
         elif isinstance(row, Exposed):
             frames, number = frames + 1, row.frame + 1
     return Progress(step, frames, number, position, pending, arrived, rows[-1].t, ended)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rig import machine
 from rig.cameras.emulated import USUAL
+from rig.clock import Clock
 from rig.errors import RigError
 from rig.plan import Plan
 from rig.pose import transform_points
@@ -18,6 +19,7 @@ from synthetic.simulation import Simulation
 from synthetic.world import World
 
 LONGEST = 24 * 3600.0  # s that the weather lasts; beyond it stays as it was
+SOON, LATE = 0.02, 0.5  # s between looks at the history for what the struts did up to a moment, and until they count as standing
 Told = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
@@ -33,7 +35,8 @@ class Eyes:
     """What cameras and sensors of a world show. images : Images; seed : of weather and noise
     told : the struts' history so far, (k,) s and (k, n) m, straight between; where they stand after its end they stay."""
 
-    def __init__(self, world: World, images: Images, seed: int, told: Told) -> None:
+    def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
+        self._clock = clock
         self.world, self._images, self._seed, self._told, self._count = world, images, seed, told, 0
         self._weather = Weather(*worlds.weather(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
         self._start: float | None = None
@@ -67,6 +70,9 @@ class Eyes:
     def _now(self, t: float) -> Simulation:
         """The machine at t (s), after all that its struts have done."""
         times, lengths = self._told()
+        while times[-1] < t and self._clock.now() < t + LATE:
+            self._clock.sleep(SOON)
+            times, lengths = self._told()
         self._start = float(times[0]) if self._start is None else self._start
         past = times < t
         at = np.array([np.interp(t, times, column) for column in lengths.T])
@@ -93,7 +99,12 @@ class ToldByFile:
             text = file.read()
             self._at = file.tell()
         *lines, self._rest = (self._rest + text).split("\n")
-        self._rows += [[float(cell) for cell in line.split(",")] for line in lines if line and not line.startswith("t,")]
+        for line in lines:
+            if line and not line.startswith("t,"):
+                row = [float(cell) for cell in line.split(",")]
+                if len(self._rows) > 1 and row[1:] == self._rows[-1][1:] == self._rows[-2][1:]:
+                    self._rows.pop()  # struts that go on standing need no more rows
+                self._rows.append(row)
         if not self._rows:
             raise RigError(f"{self._path} says nothing yet of where the struts stand")
         rows = np.array(self._rows)

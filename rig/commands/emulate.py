@@ -1,6 +1,7 @@
 """rig emulate RIG.toml --protocol P [--fault F]: a controller that is not there, at a real port."""
 
 import signal
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,11 @@ def arguments(parser):
     parser.add_argument("--speed", type=float, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
     parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
     parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
-    parser.add_argument("--seed", type=int, default=0, help="of the faults")
+    parser.add_argument("--cameras", metavar="[HOST:]PORT", help="draw what the cameras see and answer for the sensors there (port 0: any); "
+                        'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
+    parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
+                        "for --cameras (default: all is as RIG.toml says)")
+    parser.add_argument("--seed", type=int, default=0, help="of the faults, the weather and the noise of images")
 
 
 def run(arguments):
@@ -37,9 +42,14 @@ def run(arguments):
     from rig.emulator import serve
 
     clock = SystemClock()
+    if arguments.truth and not arguments.cameras:
+        raise RigError("--truth is for --cameras, which show what is true")
     emulator = built(arguments, clock)
-    wire = serve.Tcp(_address(arguments.tcp)) if arguments.tcp is not None else serve.Terminal(arguments.link)
-    history = emulators.History(emulator, arguments.history) if arguments.history else None
+    wire = serve.Tcp(_address(arguments.tcp, "--tcp")) if arguments.tcp is not None else serve.Terminal(arguments.link)
+    kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
+    followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
+    history = emulators.History(emulator, followed) if followed else None
+    cameras = _cameras(arguments, followed) if arguments.cameras else None
     for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(number, signal.default_int_handler)
     try:
@@ -48,8 +58,20 @@ def run(arguments):
         print(f"{len(emulator.machine.executed)} moves carried out; faults: {', '.join(emulator.faults.struck) or 'none'}")
     finally:
         wire.close()
+        if cameras:
+            cameras.close()
         if history:
             history.close()
+        kept.cleanup()
+
+
+def _cameras(arguments, followed):
+    """The process that draws; its address is printed."""
+    from rig.commands.emulate_cameras import Cameras
+
+    cameras = Cameras(arguments.design, arguments.truth, followed, _address(arguments.cameras, "--cameras"), arguments.seed)
+    print(f"cameras {cameras.name}", flush=True)
+    return cameras
 
 
 def built(arguments, clock):
@@ -81,8 +103,8 @@ def _say(name):
     print(f"port {name}", flush=True)
 
 
-def _address(text):
+def _address(text, option):
     host, _, port = text.rpartition(":")
     if not port.isdigit() or int(port) > 65535:
-        raise RigError(f"--tcp takes [HOST:]PORT, not {text!r}")
+        raise RigError(f"{option} takes [HOST:]PORT, not {text!r}")
     return host or "127.0.0.1", int(port)

@@ -5,9 +5,9 @@ import os
 import pytest
 
 from rig.errors import FileError, RigError
-from rig.journal import Arrival, Began, Departure, Ended, Exposed, Homed, Journal, Readings, Remark, Resumed, line, read
+from rig.journal import Arrival, Began, Departure, Ended, Exposed, Journal, Readings, Remark, Resumed, line, read
 
-ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Homed(0.5, (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
+ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
         Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))), Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),
         Readings(3.0, ("ambient_temperature_C",), (20.5,)), Remark(3.1, 'covered: "3", größer'), Resumed(9.0, (0.41,) * 6, "at its goal"), Ended(9.5, "")]
 

@@ -1,0 +1,87 @@
+"""What the commands that move struts share: the controller opened once, what it said, lengths and poses in words."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rig import design_file
+from rig.clock import Clock, SystemClock
+from rig.design import Design
+from rig.driver import Driver, Status
+from rig.errors import FileError, RigError
+from rig.occupied import Occupied
+
+
+def add_driving(parser) -> None:
+    """Arguments of every command that talks to the controller."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    add_port(parser)
+
+
+def add_port(parser) -> None:
+    """Where the controller is, and a trace of what is said."""
+    parser.add_argument("--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://..")
+    parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
+
+
+def design_of(path: Path, port: str | None) -> Design:
+    """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
+    design = design_file.load(path)
+    if design.controller is None:
+        raise RigError(f"{path} has no [controller], so there is nothing to drive")
+    return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
+
+
+@contextmanager
+def driving(design: Design, trace: Path | None, say, clock: Clock | None = None) -> Iterator[Driver]:
+    """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text"""
+    c = design.controller
+    with ExitStack() as stack:
+        stack.enter_context(Occupied(c.usb or c.port))
+        file = None
+        if trace is not None:
+            try:
+                file = stack.enter_context(open(trace, "a", encoding="utf-8"))
+            except OSError as error:
+                raise FileError(trace, f"cannot be written: {error.strerror}") from None
+        yield stack.enter_context(Driver(design, clock or SystemClock(), trace=file, say=say))
+
+
+def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
+    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts were left."""
+    status, end = driver.status(), clock.now() + patience
+    moved = status.activity == "moving"
+    while status.activity == "moving":
+        if clock.now() > end:
+            driver.stop()
+            raise RigError(f"the struts still moved {patience:g} s after connecting; they were told to stop")
+        clock.sleep(every)
+        status = driver.status()
+    if moved and status.known and status.activity == "idle" and not status.fault:
+        driver.trust()  # it counted all the way, and nobody else commands it
+    return status
+
+
+def lengths_text(lengths: np.ndarray) -> str:
+    """Lengths in mm."""
+    return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
+
+
+def print_status(status: Status, design: Design) -> None:
+    """A Status in words, with the pose that the lengths give by the owner's model."""
+    from rig import mechanisms
+    from rig.errors import NotConverged
+    from rig.pose import vector
+
+    print(f"{status.activity}{'' if status.known else ', position not known: home'}{f', {status.fault}' if status.fault else ''}")
+    print(f"lengths {lengths_text(status.lengths)}")
+    if design.mechanism.kind == "hexapod" and status.known:
+        try:
+            v = vector(mechanisms.of(design.mechanism).forward(status.lengths, design.mechanism))
+        except NotConverged:
+            print("these lengths close on no pose of the owner's model")
+            return
+        print(f"pose by the owner's model {' '.join(f'{x * 1e3:.4f}' for x in v[:3])} mm, {' '.join(f'{x * 1e3:.4f}' for x in v[3:])} mrad")

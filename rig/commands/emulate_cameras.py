@@ -1,0 +1,62 @@
+"""The cameras of `rig emulate`, in a process of their own that follows the struts' history: drawing does not delay the controller's answers."""
+
+import multiprocessing
+from pathlib import Path
+
+from rig.errors import RigError
+
+START = 120.0  # s for the process to be ready; compiling and OpenGL take some
+
+
+class Cameras:
+    """A process that draws. name : host:port where it listens."""
+
+    def __init__(self, design: Path, truth: Path | None, history: Path, address: tuple[str, int], seed: int) -> None:
+        """truth : what rig simulate --truth wrote, or None for a rig that is as its rig.toml says. Raises RigError where it cannot start."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._process = context.Process(target=_draw, args=(str(design), truth and str(truth), str(history), address, seed, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        try:
+            good, self.name = ours.recv() if ours.poll(START) else (False, f"the cameras were not ready in {START:g} s")
+        except EOFError:
+            good, self.name = False, "the cameras' process ended before it was ready"
+        if not good:
+            self.close()
+            raise RigError(self.name)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.join()
+
+
+def _draw(design: str, truth: str | None, history: str, address: tuple[str, int], seed: int, pipe) -> None:
+    """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
+    import signal
+
+    from rig import design_file
+    from rig.clock import SystemClock
+    from synthetic import world
+    from synthetic.eyes import Eyes, ToldByFile
+    from synthetic.eyes_server import EyesServer
+    from synthetic.pictures import Images, check_drawable
+    from synthetic.render import opengl
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
+    try:
+        stated = design_file.load(design)
+        secret = world.from_truth(truth, stated) if truth else world.World(stated, stated)
+        check_drawable(secret.effects)
+        opengl()
+        clock = SystemClock()
+        server = EyesServer(Eyes(secret, Images(stated.sensor), seed, ToldByFile(history), clock), address, clock)
+    except RigError as error:
+        pipe.send((False, str(error)))
+        return
+    pipe.send((True, server.name))
+    pipe.close()
+    parent = multiprocessing.parent_process()
+    server.serve(lambda: parent is None or parent.is_alive())
+    server.close()

@@ -1,0 +1,72 @@
+"""rig go CALIBRATION [--rig RIG.toml] --pose X,Y,Z,RX,RY,RZ."""
+
+from pathlib import Path
+
+from rig.commands.driving import add_port, design_of, driving, lengths_text, print_status
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("--rig", metavar="RIG.toml", type=Path, default=Path("rig.toml"), help="with the [controller] to drive (default: rig.toml here)")
+    parser.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad")
+    parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
+    parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+    add_port(parser)
+
+
+def run(arguments):
+    """Go to a pose: the corrected lengths, checked, commanded and read back."""
+    import numpy as np
+
+    from calib import store
+    from calib.correction import reachable
+
+    if not 0 < arguments.speed <= 1:
+        raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
+    design = design_of(arguments.rig, arguments.port)
+    correction = store.load(arguments.calibration).correction
+    _same(correction.nominal, design.mechanism, arguments)
+    wanted = pose_of(arguments.pose)
+    lengths = correction.uncorrected(wanted) if arguments.uncorrected else correction.inverse(wanted)
+    reachable(np.array([lengths]), design.mechanism, ["the pose"])
+    print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
+    if arguments.dry_run:
+        return
+    with driving(design, arguments.trace, print) as driver:
+        if arguments.trust:
+            driver.trust()
+        driver.move(lengths, arguments.speed)
+        status = driver.status()
+        print_status(status, design)
+    left = wanted.inv() * correction.predict(status.lengths)
+    if not arguments.uncorrected:
+        print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
+              f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
+
+
+def pose_of(text):
+    """RigidTransform of six figures joined by commas, m and rad."""
+    import numpy as np
+
+    from rig.pose import pose
+
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (6,) or not np.isfinite(values).all():
+        raise RigError(f"--pose takes six figures joined by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
+    return pose(values[:3], values[3:])
+
+
+def _same(nominal, mechanism, arguments):
+    """Raise RigError where a calibration is of another rig than the one to drive."""
+    import numpy as np
+
+    names = ("base_joints", "platform_joints") if mechanism.kind == "hexapod" else ("base_joints",)
+    if nominal.kind != mechanism.kind or not all(np.allclose(getattr(nominal, name), getattr(mechanism, name), rtol=0, atol=1e-6) for name in names):
+        raise RigError(f"{arguments.calibration} is a calibration of another rig than {arguments.rig}: their stated joints differ")

@@ -1,0 +1,18 @@
+"""rig home RIG.toml."""
+
+from rig.commands.driving import add_driving, design_of, driving, print_status
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
+
+
+def run(arguments):
+    """Home all struts and say where they stand."""
+    design = design_of(arguments.design, arguments.port)
+    with driving(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
+        print_status(driver.home(), design)

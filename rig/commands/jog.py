@@ -1,0 +1,49 @@
+"""rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
+
+from rig.commands.driving import add_driving, design_of, driving, print_status
+from rig.errors import RigError
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+    parser.add_argument("--strut", type=int, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--by", type=float, metavar="MM", help="longer by so much")
+    where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
+    parser.add_argument("--speed", type=float, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
+    parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+
+
+def run(arguments):
+    """Move struts a little, checked as any move."""
+    import numpy as np
+
+    design = design_of(arguments.design, arguments.port)
+    count = len(design.mechanism.axes)
+    struts = arguments.strut or list(range(1, count + 1))
+    if not all(1 <= strut <= count for strut in struts):
+        raise RigError(f"--strut takes 1 .. {count}, got {', '.join(map(str, struts))}")
+    if not 0 < arguments.speed <= 1:
+        raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
+    if arguments.to and arguments.strut:
+        raise RigError("--to states every strut's length; leave out --strut")
+    with driving(design, arguments.trace, print) as driver:
+        if arguments.trust:
+            driver.trust()
+        goal = _lengths(arguments.to, count) if arguments.to else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
+        driver.move(goal, arguments.speed)
+        print_status(driver.status(), design)
+
+
+def _lengths(text, count):
+    """(count,) m of lengths in mm joined by commas."""
+    import numpy as np
+
+    try:
+        values = np.array([float(word) for word in text.split(",")]) * 1e-3
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.isfinite(values).all():
+        raise RigError(f"--to takes {count} lengths in mm joined by commas, got {text!r}")
+    return values

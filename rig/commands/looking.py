@@ -1,0 +1,192 @@
+"""Who looks on while a run goes: every frame measured and learnt from as it comes, what is wrong said at once, and shown to displays."""
+
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.watch import Learner, Learnt, LimbWatch
+from rig import mechanisms
+from rig.clock import Clock
+from rig.commands.online import said
+from rig.design import Design
+from rig.errors import NotConverged, RigError
+from rig.journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.operate import Shot
+from rig.steps import Step, distances
+from vision.live import Live, Sight
+from vision.watch import Alarm, Watch
+
+WAITING = 4  # frames that may wait to be measured before the run waits for them
+KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
+LATEST = 30  # alarms that are kept for displays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A frame that was measured. delay : s from the end of its exposure to its pose; learnt : what the learner made of it, or None
+    blur : {camera: px, width of the markers' edges}, a figure of focus; rms : px of its corners, {camera: px}."""
+
+    shot: Shot
+    sight: Sight
+    learnt: Learnt | None
+    delay: float
+    rms: dict[str, float]
+    blur: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What displays show. phase : in words; frame, frames, step, steps : how far; left : s; lengths, goal : (axes,) m
+    ranges : (axes, 2) m; alarms : the latest; seen : the latest Seen, None before the first; ended : why, None while it goes."""
+
+    phase: str
+    frame: int
+    frames: int
+    step: int
+    steps: int
+    left: float
+    lengths: np.ndarray
+    goal: np.ndarray
+    ranges: np.ndarray
+    alarms: tuple[Alarm, ...]
+    seen: Seen | None
+    ended: str | None
+
+
+class Display(Protocol):
+    """Something that shows a run."""
+
+    def show(self, view: View) -> None:
+        """The run as it stands now."""
+
+    def close(self) -> None:
+        """The run is over."""
+
+
+class Looking:
+    """See rig.operate.Watcher. live, learner : None where frames are not measured or poses not learnt from
+    stop_on : kinds of Alarms that stop the run; halt : stops the struts now, from any thread; displays : who shows it."""
+
+    def __init__(self, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, live: Live | None, learner: Learner | None,
+                 stop_on: frozenset[str], halt: Callable[[], object], displays: list[Display]) -> None:
+        self.design, self._clock, self._live, self._learner, self._halt = design, clock, live, learner, halt
+        self._stop_on, self.displays, self._reason = stop_on, displays, ""
+        self._watch = Watch(design)
+        self._limbs = LimbWatch(design) if design.insitu is not None and design.mechanism.kind == "hexapod" else None
+        self._read: np.ndarray | None = None
+        self._begun, self._done, self._way = clock.now(), 0, distances(planned, start)
+        speed = design.controller.max_speed.min() if design.controller else np.inf
+        self._travel, self._planned = self._way / speed, planned
+        frames = sum(step.frames for step in planned)
+        self.view = View("starting", 0, frames, 0, len(planned), float("nan"), start, start, design.mechanism.strut_range, (), None, None)
+        self._lock = threading.RLock()
+        self._queue: queue.Queue[Shot | None] = queue.Queue(WAITING)
+        self._worker = threading.Thread(target=self._work, daemon=True)
+        self._worker.start()
+
+    def happened(self, row: Row) -> None:
+        """A row is on disk."""
+        if isinstance(row, Departure):
+            self._done += 1
+            self.update(phase=f"moving to step {row.step + 1}", step=row.step + 1, goal=np.array(row.goal), left=self._left(row.step))
+        elif isinstance(row, Exposed):
+            self.update(phase="exposed", frame=row.frame + 1)
+        elif isinstance(row, Resumed):
+            self.update(phase=row.found, lengths=np.array(row.position))
+        elif isinstance(row, Remark):
+            self.update(phase=row.text)
+        elif isinstance(row, Ended):
+            self.update(phase="done" if not row.reason else f"ended: {row.reason}", ended=row.reason, left=0.0)
+        elif isinstance(row, Readings):
+            values = dict(zip(row.channels, row.values))
+            if self._limbs is not None and "m1" in values:
+                self._read = np.array([values[f"m{i + 1}"] for i in range(6)])
+        else:
+            self.update(phase="settling", lengths=np.array(getattr(row, "position", self.view.lengths)))
+
+    def seen(self, shot: Shot) -> None:
+        """A frame is on disk: it is measured while the run goes on."""
+        if self._live is not None:
+            self._queue.put(shot)
+
+    def stop(self) -> str:
+        """Why the run should stop."""
+        return self._reason
+
+    def ask_stop(self, reason: str) -> None:
+        """Stop the struts now and the run with them; from any thread."""
+        self._reason = self._reason or reason
+        self._halt()
+
+    def update(self, **changes: object) -> None:
+        """Show what has changed of the view."""
+        with self._lock:
+            self.view = replace(self.view, **changes)
+            for display in self.displays:
+                display.show(self.view)
+
+    def warn(self, alarm: Alarm) -> None:
+        """Say what is wrong, and stop the run where that was asked for."""
+        self.update(alarms=(*self.view.alarms[1 - LATEST :], alarm))
+        if alarm.kind in self._stop_on:
+            self.ask_stop(alarm.text)
+
+    def finish(self) -> None:
+        """Measure what still waits, then let displays go."""
+        self._queue.put(None)
+        self._worker.join()
+        if self._live is not None:
+            self._live.close()
+        for display in self.displays:
+            display.close()
+
+    def _left(self, step: int) -> float:
+        """s until the plan is done: the ways at full speed, and what the steps so far took beside theirs."""
+        passed = self._clock.now() - self._begun
+        done = max(self._done - 1, 0)
+        beside = (passed - self._travel[step - done : step].sum()) / done if done else 0.0
+        return float(self._travel[step:].sum() + max(beside, 0.0) * (len(self._planned) - step))
+
+    def _work(self) -> None:
+        while (shot := self._queue.get()) is not None:
+            try:
+                self._measure(shot)
+            except RigError as error:
+                self.warn(Alarm("unseen", f"frame {shot.number} could not be measured: {error}"))
+
+    def _measure(self, shot: Shot) -> None:
+        sight = self._live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
+        delay = self._clock.now() - max(frame.t for frame in shot.frames.values())
+        alarms, learnt = self._watch.look(sight, self._live.noise), None
+        if self._learner is not None and sight.covariance is not None:
+            learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
+            alarms += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
+            if learnt.drift:
+                alarms.append(Alarm("drift", f"frame {shot.number}: poses have drifted from the calibration by {learnt.drift[0] * 1e3:.3f} mm and "
+                                             f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance"))
+        if self._limbs is not None and self._read is not None and sight.covariance is not None and self._limbs.take(
+                self._read, sight.T_base_platform, sight.covariance):
+            alarms.append(Alarm("limbs", f"frame {shot.number}: the measuring limbs no longer agree with vision"))
+        o, good = sight.observations, sight.inliers & np.isfinite(sight.residuals[:, 0])
+        rms = {camera.name: float(np.sqrt((sight.residuals[rows] ** 2).mean())) for i, camera in enumerate(self.design.cameras)
+               if (rows := good & (o.camera == i)).any()}
+        blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
+        self.update(seen=Seen(shot, sight, learnt, delay, rms, blur))
+        for alarm in alarms:
+            self.warn(alarm)
+        self._live.adjust()
+
+    def _expected(self, shot: Shot) -> RigidTransform | None:
+        """Where the platform ought to be."""
+        mechanism = self.design.mechanism
+        try:
+            if self._learner is not None:
+                return self._learner.expected(shot.commanded)
+            return mechanisms.of(mechanism).forward(shot.commanded, mechanism) if mechanism.kind == "hexapod" else None
+        except NotConverged:
+            return None

@@ -1,0 +1,130 @@
+"""A run's view -> what its page shows: figures in mm and mrad, images as JPEG, the rig as lines in three dimensions."""
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.commands.looking import Looking, Seen, View
+from rig.design import Camera, Design
+from rig.page import PageServer
+from rig.pose import transform_points, vector
+from vision.detect import grey
+from vision.targets import marker_map
+
+WIDTH = 960  # px, of images on the page at most
+QUALITY = 80
+LATEST = 400  # frames whose figures are shown
+SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
+
+
+class Page:
+    """Serves the view of a Looking. As a context it is open; see rig.commands.looking.Display."""
+
+    def __init__(self, looking: Looking, port: int) -> None:
+        self._design = looking.design
+        self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
+        self.url, self._history, self._shown = self._server.url, [], None
+        self._fixed = _fixed_parts(self._design)
+
+    def __enter__(self) -> "Page":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.close()
+
+    def show(self, view: View) -> None:
+        """Have the page show a view."""
+        images = None
+        if view.seen is not None and view.seen is not self._shown:
+            self._shown = view.seen
+            self._history = [*self._history[1 - LATEST :], _figures(view.seen)]
+            images = {name: jpeg(frame.image) for name, frame in view.seen.shot.frames.items()}
+        self._server.show(self._event(view), images)
+
+    def close(self) -> None:
+        """The run is over; the page stays until the context ends."""
+
+    def _event(self, view: View) -> dict:
+        struts = [{"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
+                  for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())]
+        T = view.seen.sight.T_base_platform if view.seen is not None else None
+        return {"phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step, "steps": view.steps,
+                "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": self._history,
+                "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
+                "seen": None if view.seen is None else _seen(view.seen, self._design), "rig": _rig(self._design, self._fixed, T)}
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    """JPEG of an image as cameras give it, no wider than the page needs."""
+    eight = grey(image)[0]
+    if eight.shape[1] > WIDTH:
+        eight = cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+
+
+def _figures(seen: Seen) -> dict:
+    """What charts show of a frame."""
+    rms = float(np.sqrt(np.mean(np.square(list(seen.rms.values()))))) if seen.rms else None
+    learnt = seen.learnt
+    return {"frame": seen.sight.frame, "rms": rms, "error": None if learnt is None else float(np.linalg.norm(learnt.error[:3]) * 1e6),
+            "innovation": None if learnt is None else learnt.innovation}
+
+
+def _seen(seen: Seen, design: Design) -> dict:
+    ids = marker_map(design).id
+    sight, learnt, T = seen.sight, seen.learnt, seen.sight.T_base_platform
+
+    def scaled(values: np.ndarray, scale: float) -> list[float]:
+        return (np.asarray(values) * scale).tolist()
+
+    return {"frame": sight.frame, "reason": sight.reason, "delay": seen.delay, "pose": None if T is None else scaled(vector(T), 1e3),
+            "sigma": None if sight.covariance is None else scaled(np.sqrt(np.diag(sight.covariance)), 1e6),
+            "error": None if learnt is None else scaled(learnt.error, 1e6), "innovation": None if learnt is None else learnt.innovation,
+            "cameras": [_camera(seen, i, camera, ids) for i, camera in enumerate(design.cameras) if camera.name in sight.detections]}
+
+
+def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
+    """What one camera saw. ids : identity of each row of the marker map"""
+    sight, detection = seen.sight, seen.sight.detections[camera.name]
+    o = sight.observations
+    rows = np.flatnonzero(o.camera == i)
+    aside = set(ids[o.marker[rows[~sight.inliers[rows]]]].tolist())
+    solved = rows[np.isfinite(sight.residuals[rows, 0])]
+    return {"name": camera.name, "width": camera.width, "height": camera.height, "read": len(detection.marker),
+            "expected": len(sight.expected.get(camera.name, detection.marker)), "rms": seen.rms.get(camera.name), "blur": seen.blur.get(camera.name),
+            "quads": [[int(number), number not in aside, *np.round(quad.ravel(), 2).tolist()]
+                      for number, quad in zip(detection.marker.tolist(), detection.corners)],
+            "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist()}
+
+
+def _fixed_parts(design: Design) -> list[dict]:
+    """What of the rig does not move, as lines: the base, its targets, the cameras' sights."""
+    markers = marker_map(design) if design.targets else None
+    parts = []
+    for camera in design.cameras:
+        reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
+        half = np.array([camera.width / camera.matrix[0, 0], camera.height / camera.matrix[1, 1]]) / 2 * reach
+        corners = camera.pose.apply(np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]))
+        eye = camera.pose.translation
+        parts.append({"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]})
+        parts += [{"kind": "camera", "points": [eye.tolist(), corner.tolist()]} for corner in corners[1:]]
+    if markers is not None:
+        parts += [{"kind": "face", "points": quad.tolist()} for quad in markers.corners[~markers.on_platform]]
+    return parts
+
+
+def _rig(design: Design, fixed: list[dict], T: RigidTransform | None) -> dict:
+    """The rig as lines at a pose of the platform, at home before one is known."""
+    m, parts = design.mechanism, list(fixed)
+    middle = [0.0, 0.0, 0.0]
+    if m.kind == "hexapod":
+        T = m.home if T is None else T
+        top = T.apply(m.platform_joints)
+        parts += [{"kind": "strut", "name": str(k + 1), "points": [low.tolist(), high.tolist()]} for k, (low, high) in enumerate(zip(m.base_joints, top))]
+        parts += [{"kind": "plate", "points": [*ring.tolist(), ring[0].tolist()]} for ring in (m.base_joints, top)]
+        middle = (m.home.translation / 2).tolist()
+    if design.targets and T is not None:
+        markers = marker_map(design)
+        parts += [{"kind": "face", "points": quad.tolist()} for quad in transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3)).reshape(-1, 4, 3)]
+    size = max([float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras] or [1.0])
+    return {"parts": parts, "middle": middle, "size": size}

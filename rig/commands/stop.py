@@ -1,0 +1,23 @@
+"""rig stop RIG.toml."""
+
+from rig.commands.driving import add_driving, design_of, driving, print_status
+
+PATIENCE = 10.0  # s for a process that drives to let go
+
+
+def arguments(parser):
+    """Add this command's arguments to a parser."""
+    add_driving(parser)
+
+
+def run(arguments):
+    """Stop the struts, and whatever process moves them; its run can be resumed."""
+    from rig.clock import SystemClock
+    from rig.occupied import interrupt
+
+    design = design_of(arguments.design, arguments.port)
+    other = interrupt(design.controller.usb or design.controller.port, SystemClock(), PATIENCE)
+    if other is not None:
+        print(f"process {other}, which drove them, was stopped")
+    with driving(design, arguments.trace, print) as driver:
+        print_status(driver.stop(), design)

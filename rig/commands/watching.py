@@ -1,0 +1,35 @@
+"""Who looks on at a run, from its arguments: measuring, learning, the terminal, the page."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from calib import store
+from calib.watch import Learner
+from rig.commands.looking import Display, Looking
+from rig.commands.page import Page
+from rig.commands.terminal import terminal
+from rig.errors import RigError
+from vision.live import Live
+
+
+def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looking:
+    """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
+    calibration = store.load(arguments.calibration) if arguments.calibration else None
+    if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
+        raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is {design.mechanism.kind!r}")
+    measured = not arguments.no_measure and any(target.body == "platform" for target in design.targets)
+    learner = None
+    if measured and design.mechanism.kind == "hexapod":
+        learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None)
+    return Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt, [])
+
+
+@contextmanager
+def displays_of(arguments, looking: Looking) -> Iterator[list[Display]]:
+    """The displays that the arguments ask for; the page is served while the context lasts."""
+    if arguments.page is None:
+        yield [terminal()]
+        return
+    with Page(looking, arguments.page) as page:
+        print(f"the run's page, for this computer alone: {page.url}", flush=True)
+        yield [terminal(), page]

@@ -1,0 +1,142 @@
+// A run as its events come: what is shown is what the last event says, nothing is computed here but places on the screen.
+const token = new URLSearchParams(location.search).get("token") ?? "";
+const { Rig } = await import(`/view3d.js?token=${encodeURIComponent(token)}`);
+const at = (id) => document.getElementById(id);
+const rig = new Rig(at("rig"));
+let pictured = -1;
+let over = false;
+
+function element(name, properties = {}, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+function drawn(name, attributes) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+function minutes(seconds) {
+  return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+}
+
+function show(run) {
+  at("phase").textContent = run.phase;
+  at("far").textContent = `frame ${run.frame} of ${run.frames}, step ${run.step} of ${run.steps}` + (run.left > 0 ? `, ${minutes(run.left)} left` : "");
+  at("bar").max = Math.max(run.frames, 1);
+  at("bar").value = run.frame;
+  document.title = `${run.frame}/${run.frames} rig run`;
+  showAlarms(run.alarms);
+  showStruts(run.struts);
+  if (run.seen) {
+    showPose(run.seen);
+    if (run.seen.frame !== pictured) showCameras(run.seen);
+    pictured = run.seen.frame;
+  }
+  showCharts(run.history);
+  rig.show(run.rig);
+  if (run.ended !== null) end(run.ended === "" ? "done" : "ended");
+}
+
+function showAlarms(alarms) {
+  at("alarms").hidden = alarms.length === 0;
+  at("alarms").replaceChildren(...alarms.slice().reverse().map((alarm) => element("p", {}, element("strong", { textContent: alarm.kind }), ` ${alarm.text}`)));
+}
+
+function showStruts(struts) {
+  at("struts").replaceChildren(...struts.map((strut, k) => {
+    const place = (value) => `${Math.min(100, Math.max(0, (100 * (value - strut.low)) / (strut.high - strut.low)))}%`;
+    const track = element("div", { className: "track", title: `${strut.low.toFixed(1)} .. ${strut.high.toFixed(1)} mm` });
+    for (const [kind, value] of [["goal", strut.goal], ["", strut.at]]) {
+      const mark = element("i", { className: kind });
+      mark.style.left = place(value);
+      track.append(mark);
+    }
+    return element("div", { className: "strut" }, element("span", { textContent: k + 1 }), track, element("span", { textContent: `${strut.at.toFixed(3)} mm` }));
+  }));
+}
+
+function showPose(seen) {
+  if (!seen.pose) {
+    at("pose").replaceChildren(element("p", { textContent: `frame ${seen.frame} has no pose: ${seen.reason}` }));
+    return;
+  }
+  const names = ["x", "y", "z", "rx", "ry", "rz"];
+  const rows = names.map((name, k) => {
+    const unit = k < 3 ? "mm" : "mrad";
+    const small = k < 3 ? "µm" : "µrad";
+    const cells = [name, `${seen.pose[k].toFixed(3)} ${unit}`, seen.sigma ? `${seen.sigma[k].toFixed(1)} ${small}` : "", seen.error ? `${seen.error[k].toFixed(1)} ${small}` : ""];
+    return element("tr", {}, ...cells.map((text) => element("td", { textContent: text })));
+  });
+  const head = element("tr", {}, ...["", "measured", "± (k=1)", "off what was expected"].map((text) => element("th", { textContent: text })));
+  const said = [`frame ${seen.frame}, ${seen.delay.toFixed(2)} s after its exposure`];
+  if (!seen.sigma) said.push("cameras not yet adjusted");
+  if (seen.innovation !== null) said.push(`${seen.innovation.toFixed(2)} of what is normal`);
+  at("pose").replaceChildren(element("table", {}, head, ...rows), element("p", { className: "key", textContent: said.join(", ") }));
+}
+
+function showCameras(seen) {
+  at("cameras").replaceChildren(...seen.cameras.map((camera) => {
+    const image = element("img", { alt: `what ${camera.name} sees`, width: camera.width, height: camera.height });
+    image.src = `/image?camera=${encodeURIComponent(camera.name)}&frame=${seen.frame}&token=${encodeURIComponent(token)}`;
+    const over = drawn("svg", { viewBox: `-0.5 -0.5 ${camera.width} ${camera.height}`, preserveAspectRatio: "none" });
+    for (const [id, good, ...uv] of camera.quads) {
+      const quad = drawn("polygon", { points: uv.join(" "), class: good ? "quad" : "quad bad" });
+      quad.append(Object.assign(drawn("title", {}), { textContent: `marker ${id}` }));
+      over.append(quad);
+    }
+    for (const [u, v, du, dv] of camera.arrows) over.append(drawn("line", { x1: u, y1: v, x2: u + 200 * du, y2: v + 200 * dv, class: "arrow" }));
+    const said = [camera.name, `${camera.read} of ${camera.expected} markers`];
+    if (camera.rms !== null) said.push(`${camera.rms.toFixed(3)} px`);
+    if (camera.blur !== null) said.push(`edges ${camera.blur.toFixed(2)} px`);
+    return element("figure", {}, element("div", { className: "picture" }, image, over), element("figcaption", { textContent: said.join(", ") }));
+  }));
+}
+
+function showCharts(history) {
+  const curves = [["rms", "corners' residual, px", 3], ["error", "off what was expected, µm", 1], ["innovation", "of what is normal", 2]];
+  at("charts").replaceChildren(...curves.map(([key, name, digits]) => chart(history.filter((one) => one[key] !== null), key, name, digits)).filter(Boolean));
+  if (!at("charts").children.length) at("charts").append(element("p", { className: "none", textContent: "no frame yet" }));
+}
+
+function chart(points, key, name, digits) {
+  if (!points.length) return null;
+  const values = points.map((one) => one[key]);
+  const top = Math.max(...values) * 1.1 || 1;
+  const last = points.length - 1;
+  const svg = drawn("svg", { viewBox: "0 0 100 40", preserveAspectRatio: "none" });
+  svg.append(drawn("line", { x1: 0, y1: 39.5, x2: 100, y2: 39.5, class: "frame" }));
+  svg.append(drawn("polyline", { class: "curve", points: values.map((value, k) => `${last ? (100 * k) / last : 50},${39.5 - (38 * value) / top}`).join(" ") }));
+  if (!last) svg.append(drawn("line", { class: "curve", x1: 48, x2: 52, y1: 39.5 - (38 * values[0]) / top, y2: 39.5 - (38 * values[0]) / top }));
+  const text = `${name}: ${values[last].toFixed(digits)}, at most ${Math.max(...values).toFixed(digits)}`;
+  return element("div", { className: "chart" }, element("div", { className: "name", textContent: text }), svg);
+}
+
+function end(why) {
+  over = true;
+  at("stop").disabled = true;
+  at("stop").textContent = why;
+}
+
+at("stop").addEventListener("click", async () => {
+  at("stop").textContent = "stopping";
+  try {
+    const answer = await fetch(`/stop?token=${encodeURIComponent(token)}`, { method: "POST" });
+    if (!answer.ok) throw new Error(await answer.text());
+    at("stop").textContent = "stopped";
+    at("stop").disabled = true;
+  } catch (error) {
+    at("stop").textContent = "Stop";
+    at("phase").textContent = `the run could not be reached: ${error.message}. Use the rig's own emergency stop.`;
+  }
+});
+
+const events = new EventSource(`/events?token=${encodeURIComponent(token)}`);
+events.onmessage = (message) => {
+  const run = JSON.parse(message.data);
+  if (run.phase !== undefined) show(run);
+};
+events.addEventListener("end", () => { events.close(); if (!over) end("over"); });
+events.onerror = () => { if (!over) at("phase").textContent = "the run cannot be reached; trying again"; };
