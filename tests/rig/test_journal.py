@@ -47,7 +47,7 @@ def test_a_torn_line_of_rubbish_is_taken_away_and_damage_before_rows_is_named(tm
     with Journal(path) as journal:
         assert journal.rows == ROWS[:-1] and journal.torn
     path.write_bytes(data.replace(b'"step": 0', b'"step": 1', 1))
-    with pytest.raises(FileError, match="j:3: is damaged"):
+    with pytest.raises(FileError, match="j:2: is damaged"):
         Journal(path)
     path.write_bytes(line(0, ROWS[0]) + line(2, ROWS[1]) + line(2, ROWS[2]))
     with pytest.raises(FileError, match="j:2: is damaged"):
