@@ -1,10 +1,11 @@
 """How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast mathematics."""
 
 import hashlib
-import os
 from pathlib import Path
 
 from numba import config, njit
+
+from rig.compiled import kernel_folder
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
@@ -15,10 +16,7 @@ def _folder():
     here = Path(__file__).parent
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
     digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
-    if config.CACHE_DIR:
-        parent = Path(config.CACHE_DIR)
-    else:
-        parent = here / "__pycache__" if os.access(here, os.W_OK) else Path.home() / ".cache" / "rig"
+    parent = Path(config.CACHE_DIR) if config.CACHE_DIR else kernel_folder() or here / "__pycache__"
     return str(parent / f"kernels-{digest}")
 
 

@@ -1,0 +1,63 @@
+"""Kernels are compiled and kept on an installation that cannot be written, by a user without a home, and nobody else's are loaded."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from rig import compiled
+from tests.conftest import ROOT
+
+
+@pytest.fixture
+def locked(monkeypatch, tmp_path):
+    """An installation that cannot be written, and temporary files in tmp_path."""
+    writable = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_relative_to(compiled.HERE) and writable(path, mode))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    compiled.kernel_folder.cache_clear()
+    yield
+    compiled.kernel_folder.cache_clear()
+
+
+def test_a_home_is_used_where_there_is_one(locked, monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert compiled.kernel_folder() == tmp_path / "home" / ".cache" / "rig"
+
+
+@pytest.mark.parametrize("planted", [None, "link", "open"])
+def test_without_a_home_a_folder_of_ones_own(planted, locked, monkeypatch, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    folder = tmp_path / f"rig-kernels-{os.getuid()}"
+    if planted == "link":
+        (tmp_path / "theirs").mkdir()
+        folder.symlink_to(tmp_path / "theirs")
+    if planted == "open":
+        folder.mkdir()
+        folder.chmod(0o777)
+    found = compiled.kernel_folder()
+    assert (found == folder) == (planted is None) and not found.is_symlink() and found.stat().st_mode & 0o077 == 0
+    assert f"is kept in {found}" in capsys.readouterr().err
+    compiled.kernel_folder.cache_clear()
+    if planted is None:
+        assert compiled.kernel_folder() == folder and not capsys.readouterr().err  # said once
+
+
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")
+def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
+    shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
+    for parent in (tmp_path, *tmp_path.parents[:2]):
+        parent.chmod(parent.stat().st_mode | 0o055)
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp").chmod(0o777)
+    code = "from rig.effects import play; import numpy as np; print(play.__file__, play.play(np.ones((3, 1)), 0.5).sum())"
+    done = subprocess.run(["setpriv", "--reuid=65534", "--clear-groups", "--inh-caps=-all", sys.executable, "-c", code], capture_output=True,
+                          text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path), "HOME": "/nonexistent", "TMPDIR": str(tmp_path / "tmp")})
+    assert done.returncode == 0 and str(tmp_path / "rig") in done.stdout and done.stdout.split()[-1] == "3.0", done.stderr
+    assert "is kept in" in done.stderr and "Traceback" not in done.stderr
