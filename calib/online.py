@@ -54,6 +54,7 @@ class Online:
         S[:shared, :shared], S[shared:, shared:k] = np.eye(shared), self.root
         self.p, self.s, self.S, self.sums, self.count = parameters(nominal), np.zeros(shared), S, np.zeros((WINDOW, SUMS)), 0
         self.number, self.held, self.said = 0, (), 0
+        self.data = set()  # marks of what was learnt (see rig.provenance), so that it is not learnt again
         self.recent = []  # (state before, pose, its own sums) of the last WINDOW poses
         self.first = []  # poses to linearise again; None once that is over
 
@@ -219,7 +220,7 @@ class Online:
                                               "platform_joints": self.nominal.platform_joints.tolist(), "home": vector(self.nominal.home).tolist(),
                                               "strut_range": self.nominal.strut_range.tolist()},
                 "root": self.root.tolist(), "scatter": self.scatter.tolist(), "p": p.tolist(), "s": s.tolist(), "S": S[:, : len(S) + 1].tolist(),
-                "number": self.number, "recent": [_out(raw) for _, raw, _ in self.recent], "held": [_out(raw) for raw in self.held],
+                "number": self.number, "data": sorted(self.data), "recent": [_out(raw) for _, raw, _ in self.recent], "held": [_out(raw) for raw in self.held],
                 "first": None if first is None else [_out(raw) for raw in first]}
         write_text(path, json.dumps(tree) + "\n")
 
@@ -239,6 +240,7 @@ class Online:
             made.first = None if tree["first"] is None else [_in(raw, len(made.s)) for raw in tree["first"]]
             for raw in tree["recent"]:
                 made._learn(_in(raw, len(made.s)), np.empty(6))
+            made.data = set(map(str, tree.get("data", ())))
             made.number, made.held = tree["number"], tuple(_in(raw, len(made.s)) for raw in tree["held"])
             return made
         except FileNotFoundError:

@@ -181,7 +181,7 @@ def calibration_page(path, recording, calibration, samples, found):
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
              coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
-             "<h2>Where this came from</h2>", table(("what", "value"), flat(calibration.provenance))]
+             "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
@@ -237,6 +237,11 @@ def _parameters(calibration):
             rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(change[i], u)),
                          *[""] * (3 - width)))
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
+
+
+def origin(calibration):
+    """HTML of where a calibration came from; the marks of its data are for programs."""
+    return table(("what", "value"), flat({name: part for name, part in calibration.provenance.items() if name != "data"}))
 
 
 def flat(tree, prefix=""):

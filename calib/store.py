@@ -19,7 +19,9 @@ from calib.correction import Correction
 from calib.interpolate.radial import Radial
 from rig.design import Arm, Hexapod
 from rig.errors import FileError
+from rig.recording import Recording
 from rig.pose import pose, vector
+from rig.provenance import flat, marks, shared
 from rig.files import write_text
 
 SCHEMA = "calibration/1"
@@ -50,15 +52,24 @@ class Calibration:
 
 
 def provenance(recording, arguments, seed, used_images):
-    """dict of the inputs' SHA-256, versions, arguments and seed. recording : Recording; used_images : whether they were read."""
+    """dict of the inputs' SHA-256, the marks of their data (see rig.provenance), versions, arguments and seed.
+
+    recording : Recording; used_images : whether they were read
+    """
     folder = recording.folder
     files = {name: _hash([folder / name]) for name in sorted(os.listdir(folder)) if name.endswith((".toml", ".csv"))}
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
-    return {"recording": folder.resolve().name, "inputs_sha256": files, "arguments": list(arguments), "seed": seed,
+    return {"recording": folder.resolve().name, "inputs_sha256": files, "data": flat(marks(recording)),
+            "arguments": list(arguments), "seed": seed,
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
             "created": datetime.now(UTC).isoformat(timespec="seconds")}
+
+
+def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
+    """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from them."""
+    return shared(marks(recording), calibration.provenance.get("data", ()))
 
 
 def _hash(paths):

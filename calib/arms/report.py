@@ -27,7 +27,7 @@ def calibration_page(path, recording, calibration, samples, done):
              _profiles(calibration, samples), "<h2>Where the target went</h2>", coverage(np.concatenate(
                  [samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)),
              "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
-             "<h2>Where this came from</h2>", table(("what", "value"), flat(calibration.provenance))]
+             "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 

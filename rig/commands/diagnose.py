@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, add_force
+from rig.commands.output import Progress, add_force
 from rig.errors import RigError
 
 
@@ -69,8 +69,10 @@ def _known(path, recording):
     from calib import store
 
     calibration = store.load(path)
-    if store.provenance(recording, [], SEED, False)["inputs_sha256"].items() <= calibration.provenance["inputs_sha256"].items():
-        raise RigError(f"{path} was made from {recording.folder}, which would count twice; diagnose without it, or take another recording's")
+    same = store.seen_before(calibration, recording)
+    if same:
+        raise RigError(f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; diagnose without it, or "
+                       "take another recording's")
     return calibration
 
 

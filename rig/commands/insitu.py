@@ -64,18 +64,25 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
     from calib import insitu
     from calib.identify import parameters
     from calib.online import Online
-    from rig.commands.online import said
+    from rig.commands.online import not_learnt, said
+    from rig.provenance import flat, marks
 
     known, _, values = recording.commanded()
     commands = values[np.searchsorted(known, frames)]
     T = limbs.pose(lengths)
     own, common = limbs.uncertainty(T)
+    of = marks(recording)
     if arguments.state.exists():
         learner = Online.load(arguments.state)
+        fresh = not_learnt(recording, of, learner.data)
+        new = np.isin(frames, fresh)
+        frames, commands, T, own, common = frames[new], commands[new], T[new], own[new], common[new]
+        learner.data |= set(flat(of, fresh))
         learner.new_session(common.shape[2])
         print(f"going on after {learner.number} poses")
     else:
         learner = Online(recording.design.mechanism, shared=common.shape[2])
+        learner.data = set(flat(of))
     first, checked = learner.number, 0
     at = {frame: i for i, frame in enumerate(samples.frame.tolist())}
     vision = samples.total_covariance()

@@ -19,8 +19,8 @@ def arguments(parser):
 
 def run(arguments):
     """Measure a recording and write what was measured."""
+    from rig import provenance, writing
     from rig import recording as recordings
-    from rig import writing
     from rig.design_file import with_cameras, with_places
     from rig.pose import vector
 
@@ -29,6 +29,7 @@ def run(arguments):
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
     recording = recordings.load(arguments.recording)
     out = arguments.outputs.folder(arguments.out)
+    arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page

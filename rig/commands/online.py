@@ -30,12 +30,18 @@ def run(arguments):
     from calib.identify import parameters
     from calib.online import Online
     from calib.pipeline import sample_recording
+    from rig.provenance import flat, marks
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
     goes_on = arguments.state is not None and arguments.state.exists()
     learner = Online.load(arguments.state) if goes_on else None
+    of = marks(recording)
+    learnt = learner.data if goes_on else set() if calibration is None else set(calibration.provenance.get("data", ()))
+    fresh = not_learnt(recording, of, learnt)
     sampled = sample_recording(recording, progress=Progress())
-    samples = sampled.samples
+    samples = sampled.samples.take(np.isin(sampled.samples.frame, fresh))
+    if not len(samples):
+        raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
     shared = samples.common.shape[2]
     if goes_on:
         learner.new_session(shared)
@@ -44,6 +50,7 @@ def run(arguments):
         learner = Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance)
     else:
         learner = Online(mechanism, shared)
+    learner.data = learnt | set(flat(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = [learner.update(x, T, C, B) for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common)]
     first = updates[0].number
@@ -66,6 +73,21 @@ def run(arguments):
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
+
+
+def not_learnt(recording, of, learnt):
+    """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
+
+    Raises RigError where none is left: what is learnt twice counts twice
+    """
+    from rig.provenance import shared
+
+    frames, again = recording.exposures.times()[0], shared(of, learnt)
+    if len(again) == len(of) > 0:
+        raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count twice")
+    if again:
+        print(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
+    return [frame for frame in frames.tolist() if frame not in set(again)]
 
 
 def _calibration(path, mechanism):

@@ -33,14 +33,14 @@ def run(arguments):
     sampled = sample_recording(recording, progress=Progress())
     samples = sampled.samples
     held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED))
-    used = store.provenance(recording, [], SEED, sampled.source == "images")["inputs_sha256"]
-    same = used == calibration.provenance["inputs_sha256"]
+    same = store.seen_before(calibration, recording)
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
     if arguments.json:
         print(json.dumps(store.nulls(_verification(held, same, sampled, driven)), indent=1))
         return
     if same:
-        print("warning: the calibration was made from this very recording, so these figures are not held out", file=sys.stderr)
+        print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
+              "figures are not held out", file=sys.stderr)
     if driven is None:
         print_comparison(held, f"{samples.frame.size} poses from {sampled.source}")
     else:
@@ -75,7 +75,7 @@ def _verification(held, same, sampled, driven):
         return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
 
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "n": held.after.n,
+    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "frames_used_in_fitting": same, "n": held.after.n,
             "before": side(held.before), "after": side(held.after),
             "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
             "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]},
