@@ -21,6 +21,7 @@ PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to
 POLL = 0.01  # s between looks at a moving rig
 STILL = 1.0  # s without coming nearer: standing
 NEARER = 1e-7  # m; less is noise of the read-back
+REPORTS = 12  # within which a controller says whether it is homed; grblHAL does in every tenth
 TRIES = 3  # times that a move is sent which the read-back shows was never begun
 
 
@@ -80,6 +81,8 @@ class Driver:
         self.link.connect(0.0)
         self._say(self.link.run(self._protocol.hello()))
         state = self._state()
+        for _ in range(REPORTS if state.homed is None and self.controller.homing else 0):
+            state = self._state() if state.homed is None else state
         self._left = self._lengths(state)
         self._known = bool(state.homed) or not (self.controller.homing or mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any())
         return self._status(state)

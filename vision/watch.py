@@ -29,8 +29,6 @@ class Watch:
     def __init__(self, design: Design) -> None:
         self._names = [camera.name for camera in design.cameras]
         self._moving = {camera.name for camera in design.cameras if camera.mount == "moving"}
-        self._ids = np.array([number for target in design.targets for number in target.ids])
-        self._base = {number for target in design.targets if target.body == "base" for number in target.ids}
         self._seen: dict[tuple[str, int], int] = defaultdict(int)
         self._missed: dict[tuple[str, int], int] = defaultdict(int)
         self._row: dict[tuple[str, int], int] = defaultdict(int)  # missed one after the other, up to now
@@ -39,7 +37,7 @@ class Watch:
     def look(self, sight: Sight, noise: float | None) -> list[Alarm]:
         """Alarms that a sight gives cause for. noise : px of a corner, None while the cameras have not been adjusted."""
         found = {}
-        if sight.T_base_platform is None:
+        if sight.T_base_platform is None and noise is not None:  # before, cameras stand where they are stated, which may solve nothing
             found["unseen", "frame"] = f"frame {sight.frame} has no pose: {sight.reason}"
         if noise is not None:
             found |= self._moved(sight, noise)
@@ -62,13 +60,10 @@ class Watch:
         return found
 
     def _covered(self, sight: Sight) -> dict[tuple[str, str], str]:
-        """Markers missed where they have always been seen, and markers read that are no whole image of themselves."""
+        """Markers missed, or no whole image of themselves, where they have always been seen."""
         found = {}
         for name, detection in sight.detections.items():
-            for number, reason in detection.left_out:
-                if reason.startswith("covered") and (number in self._base or sight.T_base_platform is not None):
-                    found["covered", f"{name} {number}"] = f"frame {sight.frame}: marker {number} in camera {name!r}: {reason}"
-            read, missing, together = set(detection.marker.tolist()) | {number for number, _ in detection.left_out}, [], 1.0
+            read, missing, together = set(detection.marker.tolist()), [], 1.0
             for number in sight.expected.get(name, ()):
                 key = (name, number)
                 often = (self._missed[key] + 1) / (self._missed[key] + self._seen[key] + 2)  # Laplace's rule of succession

@@ -70,7 +70,7 @@ function showPose(seen) {
     const cells = [name, `${seen.pose[k].toFixed(3)} ${unit}`, seen.sigma ? `${seen.sigma[k].toFixed(1)} ${small}` : "", seen.error ? `${seen.error[k].toFixed(1)} ${small}` : ""];
     return element("tr", {}, ...cells.map((text) => element("td", { textContent: text })));
   });
-  const head = element("tr", {}, ...["", "measured", "± (k=1)", "off what was expected"].map((text) => element("th", { textContent: text })));
+  const head = element("tr", {}, ...["", "measured", "± (k=1)", "off expected"].map((text) => element("th", { textContent: text })));
   const said = [`frame ${seen.frame}, ${seen.delay.toFixed(2)} s after its exposure`];
   if (!seen.sigma) said.push("cameras not yet adjusted");
   if (seen.innovation !== null) said.push(`${seen.innovation.toFixed(2)} of what is normal`);
