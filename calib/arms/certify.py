@@ -37,27 +37,29 @@ def certify(samples, nominal, instrument, rng):
     rng : numpy Generator, for the random rows and the bootstrap. Raises NotEnoughData, RigError as `calibrate`
     """
     stretches = blocks(len(samples), min(STRETCHES, len(samples))) % PARTS
-    plain, full = [_held_out(samples, nominal, instrument, stretches, profiles) for profiles in (False, True)]
+    start = start_of(of_samples(samples), nominal, instrument)  # a basin, not a fit: the folds' own fits forget it
+    plain, full = [_held_out(samples, nominal, instrument, (stretches, start), profiles) for profiles in (False, True)]
     scale = _spread(plain[1])
     gain = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     gain = gain[0] - gain[1]
     pays = bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
     rows = rng.permutation(np.arange(len(samples)) % PARTS)
-    scattered = _held_out(samples, nominal, instrument, rows, pays)
-    correction, found = calibrate(samples, nominal, instrument, pays)
+    scattered = _held_out(samples, nominal, instrument, (rows, start), pays)
+    correction, found = calibrate(samples, nominal, instrument, pays, start)
     covariance = samples.total_covariance()
     held = [compare(*errors, covariance, rng) for errors in (full if pays else plain, scattered, plain)]
     return Certified(correction, found, *held)
 
 
-def calibrate(samples, nominal, instrument, profiles):
+def calibrate(samples, nominal, instrument, profiles, start=None):
     """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry.
 
-    Raises what `identify` raises
+    start : Arm, as `start_of` has it where None. Raises what `identify` raises
     """
     observations = of_samples(samples)
-    owners = owners_model(observations, nominal, instrument)
-    found = identify(observations, owners)
+    start = start_of(observations, nominal, instrument) if start is None else start
+    owners = owners_model(observations, nominal, instrument, start)
+    found = identify(observations, start)
     parts = (None,) * len(nominal.joints)
     for _ in range(ROUNDS if profiles else 0):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
@@ -69,14 +71,22 @@ def calibrate(samples, nominal, instrument, profiles):
     return ArmCorrection(owners, found.arm, parts, observations.q), found
 
 
-def owners_model(observations, nominal, instrument):
-    """The nominal Arm, standing and holding its target where the instrument's free places put them; nothing else is fitted."""
+def start_of(observations, nominal, instrument):
+    """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and zeros moved along."""
+    if instrument is None:
+        return nominal
+    return placed(observations, nominal, instrument.base == "free", instrument.tool == "free")
+
+
+def owners_model(observations, nominal, instrument, start):
+    """The nominal Arm, standing and holding its target where the instrument's free places put it; nothing else is fitted.
+
+    start : Arm of `start_of`"""
     if instrument is None or "free" not in (instrument.base, instrument.tool):
         return nominal
-    base, tool = instrument.base == "free", instrument.tool == "free"
     free = np.zeros(12 + 5 * len(nominal.joints), bool)
-    free[:6], free[-6:] = base, tool
-    return identify(observations, placed(observations, nominal, base, tool), free).arm
+    free[:6], free[-6:] = instrument.base == "free", instrument.tool == "free"
+    return identify(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
 
 
 def model_covariance(calibration, commands):
@@ -86,10 +96,11 @@ def model_covariance(calibration, commands):
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
 
 
-def _held_out(samples, nominal, instrument, part, profiles):
+def _held_out(samples, nominal, instrument, plan, profiles):
+    part, start = plan
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
     for k in np.unique(part):
-        correction, _ = calibrate(samples.take(part != k), nominal, instrument, profiles)
+        correction, _ = calibrate(samples.take(part != k), nominal, instrument, profiles, start)
         before[part == k], after[part == k] = errors_of(correction, samples.take(part == k))
     return before, after
 

@@ -70,11 +70,11 @@ def parameters(arm, kind):
     return np.concatenate([base, free.ravel(), tool])
 
 
-def identify(observations, nominal, free=None):
+def identify(observations, nominal, free=None, farthest=FARTHEST):
     """Identified : the parameters that explain the observations.
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.arms.place)
-    free : (p,) bool, the parameters to fit, those of `parameters` by default
+    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m, median by which nominal may miss
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not settle
     """
     free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
@@ -82,7 +82,7 @@ def identify(observations, nominal, free=None):
     if k * len(observations) <= free.sum():
         raise NotEnoughData(f"{len(observations)} observations give {k * len(observations)} equations, too few for {free.sum()} parameters")
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
-    if far > FARTHEST:
+    if far > farthest:
         raise RigError(f"what was measured is {far * 1e3:.0f} mm (median) from where the owner's model has it: are these the joint angles of these "
                        "poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
     inliers, arm, total = np.ones(len(observations), bool), nominal, 0

@@ -1,74 +1,227 @@
-"""Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known."""
+"""Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known.
 
-from dataclasses import replace
+For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear, and what is then
+left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't, with unknowns that no longer hold X. It is looked
+at over rotations that cover all of SO(3); measured rotations add how well X F Z = M holds with the best Z. The best few are refined
+with base, tool and the joints' zeros, these held near the maker's; the best of them is the answer. So a hand that turns about one axis
+alone, whose rotations leave a whole family of answers, is placed by its positions, and zeros that are off mislead nobody.
+Source: Shah, J. Mechanisms Robotics 5, 2013 (robot-world and hand-eye); Alexa, Super-Fibonacci spirals, CVPR 2022 (rotations that cover)
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.errors import NotEnoughData
+from calib.arms import model
+from calib.arms.observations import Observations
+from rig.design import Arm
+from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import arm as mechanism
 
-ROUNDS = 200
 LEAST = {"pose": 3, "position": 6, "distance": 10}
+ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
+STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to the end on more
+APART = np.radians(25)  # between two of them
+LOOKED_AT, ROUGHLY = 150, (40, 8)  # observations that the search uses; and observations and steps of the rough refinement
+HUBER = 3.0  # times the median; an observation farther off counts less
+ZERO = 0.1  # rad; what a joint's zero may be off by
+COARSE = (0.03, 0.05)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
+FINE = (1e-3, 2e-3)  # m, rad; the same once zeros are free
+STEPS, SETTLED = 60, 1e-7
+FITS = 0.02  # m; a placement that leaves more (median) is none
+TWOFOLD = 1.5  # times what the best leaves, up to which another place fits as well
+SAME = (0.02, 0.05)  # m, rad between placements that are one
 
 
-def placed(observations, arm, base, tool):
-    """The Arm with its base and tool as the observations place them, where base and tool (bool) say that they are unknown.
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """arm : Arm with base and tool found and its zeros moved; left : m, the median that it leaves in position."""
 
-    Linear solutions, good to what the arm's own errors leave; least squares goes on from there. With one place known, or with
-    distances, what cannot be told in closed form stays as stated. Raises NotEnoughData for too few observations.
+    arm: Arm
+    left: float
+
+
+def placed(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+    """The Arm with base and tool as the observations place them, and zeros moved along; base, tool : whether they are unknown.
+
+    Good to what the arm's own errors leave; least squares goes on from there. With distances, what cannot be told in closed form stays
+    as stated. Raises NotEnoughData for too few observations, RigError where no placement fits or two different ones fit alike
     """
     if not (base or tool):
         return arm
     if len(observations) < LEAST[observations.kind]:
         raise NotEnoughData(f"{len(observations)} observations of a {observations.kind} cannot place the instrument; "
                             f"it takes {LEAST[observations.kind]}")
+    if observations.kind == "distance":
+        links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=arm.tool))
+        return _from_distances(observations.value, links, arm) if base else arm
+    some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
+    rows = arm.rows
+    rough = sorted((_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)), key=lambda p: p.left)
+    found = sorted((_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left)
+    best = found[0]
+    if not best.left < FITS:
+        raise RigError(f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves {best.left * 1e3:.0f} mm "
+                       "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
+                       f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?")
+    for other in found[1:]:
+        if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
+            raise RigError(f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and {other.left * 1e3:.2f} mm, "
+                           "median): the poses differ too little; move every joint, or state one of the two places")
+    return best.arm
+
+
+def _unknown(base: bool, tool: bool) -> str:
+    return "base and tool" if base and tool else "the base" if base else "the tool"
+
+
+def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> list[Arm]:
+    """Arms with different bases, the likeliest first."""
     links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
-    if observations.kind == "pose":
-        return _from_poses(observations.value, links, arm, base, tool)
-    if observations.kind == "position":
-        return _from_positions(observations.value, links, arm, base, tool)
-    return _from_distances(observations.value, links * arm.tool, arm) if base else arm
-
-
-def _from_poses(measured, links, arm, base, tool):
-    """measured = X links Z: rotations by the null vector of a linear system, then positions by linear least squares."""
-    if not base:
-        return replace(arm, tool=_mean(links.inv() * arm.base.inv() * measured))
-    if not tool:
-        return replace(arm, base=_mean(measured * (links * arm.tool).inv()))
-    M, F = measured.rotation.as_matrix(), links.rotation.as_matrix()
-    # M Z^T = X F for every pose, with row-major vec: (M kron 1) vec Z^T - (1 kron F^T) vec X = 0
-    one = np.eye(3)
-    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9),
-                           -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)], axis=2).reshape(-1, 18)
-    null = np.linalg.svd(rows, full_matrices=False)[2][-1]
-    null = null * np.sign(np.linalg.det(null[9:].reshape(3, 3)))
-    Z, X = _nearest(null[:9].reshape(3, 3).T), _nearest(null[9:].reshape(3, 3))
-    turned = np.einsum("ij,mjk->mik", X, F)
-    A = np.concatenate([turned, np.tile(one, (len(M), 1, 1))], axis=2).reshape(-1, 6)
-    b = (measured.translation - links.translation @ X.T).ravel()
-    t = np.linalg.lstsq(A, b)[0]
-    return replace(arm, tool=_transform(Z, t[:3]), base=_transform(X, t[3:]))
-
-
-def _from_positions(p, links, arm, base, tool):
-    """p = X (F z + f): base and target point in turn, until neither moves."""
     F, f = links.rotation.as_matrix(), links.translation
-    z, X, t = arm.tool.translation, arm.base.rotation.as_matrix(), arm.base.translation
-    for _ in range(ROUNDS if tool and base else 1):
-        before = z
-        if base:
-            X, t = _rigid(F @ z + f, p)
-        if tool:
-            turned = np.einsum("ij,mjk->mik", X, F)
-            z = np.linalg.lstsq(turned.reshape(-1, 3), (p - t - f @ X.T).ravel())[0]
-        if np.abs(z - before).max() < 1e-6:
+    posed = observations.kind == "pose"
+    p, M = (observations.value.translation, observations.value.rotation.as_matrix()) if posed else (observations.value, None)
+    X = _covering(ROTATIONS) if base else arm.base.rotation.as_matrix()[None]
+    one = np.broadcast_to(np.eye(3), F.shape)
+    known_z = None if tool else arm.tool.translation
+    if known_z is not None:
+        f = f + F @ known_z
+    A = (np.concatenate([F, one], axis=2) if tool else one).reshape(3 * len(F), -1)
+    if not base:
+        A, f = (F if tool else np.zeros((len(F), 3, 0))).reshape(3 * len(F), -1), f + X[0].T @ arm.base.translation
+    orthonormal = _span(A)
+
+    def left(columns):
+        return columns - orthonormal @ (orthonormal.T @ columns)
+
+    # (X'p) of all observations is linear in X: columns for its nine entries
+    P = left(np.einsum("mi,jk->mkij", p, np.eye(3)).reshape(3 * len(p), 9))
+    right = left(f.reshape(-1, 1))
+    x = X.reshape(-1, 9)
+    square = np.einsum("ri,ij,rj->r", x, P.T @ P, x) - 2 * x @ (P.T @ right)[:, 0] + (right**2).sum()
+    cost = np.maximum(square, 0) / COARSE[0] ** 2
+    if posed:
+        K = np.einsum("rkj,jikl->ril", X, np.einsum("mji,mkl->jikl", F, M), optimize=True)  # sum of F'X'M, whose nearest rotation is Z
+        best = np.linalg.svd(K, compute_uv=False)
+        best[:, 2] *= np.sign(np.linalg.det(K))
+        known = np.einsum("ril,il->r", K, arm.tool.rotation.as_matrix())
+        cost += 2 * (3 * len(M) - (best.sum(axis=1) if tool else known)) / (2 * COARSE[1] ** 2)
+    return [_placed_about(X[i], F, f, p, M, A, arm, (base, tool)) for i in _apart(X, cost)]
+
+
+def _placed_about(X, F, f, p, M, A, arm, unknown):
+    """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
+    base, tool = unknown
+    solution = np.linalg.lstsq(A, (p @ X - f).ravel())[0] if A.shape[1] else np.zeros(0)
+    z = solution[:3] if tool else arm.tool.translation
+    t = X @ solution[-3:] if base else arm.base.translation
+    Z = arm.tool.rotation.as_matrix()
+    if tool and M is not None:
+        Z = _nearest(np.einsum("mji,kj,mkl->il", F, X, M))
+    return replace(arm, base=_transform(X, t), tool=_transform(Z, z))
+
+
+def _apart(X: np.ndarray, cost: np.ndarray) -> list[int]:
+    """Indices of the rotations of least cost, each APART from those before."""
+    chosen: list[int] = []
+    cosine = 1 + 2 * np.cos(APART)
+    for i in np.argsort(cost):
+        if all(np.einsum("ij,ij->", X[i], X[j]) < cosine for j in chosen):
+            chosen.append(int(i))
+            if len(chosen) == STARTS:
+                break
+    return chosen
+
+
+def _spread(observations: Observations, count: int) -> Observations:
+    """At most so many of the observations, from first to last."""
+    return observations.take(np.unique(np.linspace(0, len(observations) - 1, count).astype(int)))
+
+
+def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tuple[bool, bool], steps: int) -> Placement:
+    """Placement by damped, robust least squares over base, tool and the joints' zeros, which a prior holds near the maker's rows (n, 5)."""
+    n, posed = len(arm.joints), observations.kind == "pose"
+    free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
+    free[:6], free[-6:] = unknown
+    free[-3:] &= posed
+    zeros = np.arange(6 + 5, 6 + 5 * n, 5)  # all but the first, which is the base's
+    free[zeros], prior[zeros] = True, 1 / ZERO
+    at = _Misfit.of(observations, arm, rows, prior, posed)
+    damping = 1e-4
+    for _ in range(steps):
+        J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(-1, free.sum())
+        H = J.T @ J + np.diag(prior[free] ** 2)
+        g = J.T @ (at.residual * at.weight[:, None]).ravel() - (prior * at.moved)[free]
+        step = np.zeros(len(free))
+        while damping < 1e8:
+            step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
+            trial = model.moved(arm, step)
+            new = _Misfit.of(observations, trial, rows, prior, posed)
+            if new.cost(at.scale) <= at.cost(at.scale):
+                break
+            damping *= 8
+        else:
             break
-    return replace(arm, base=_transform(X, t), tool=_transform(arm.tool.rotation.as_matrix(), z))
+        arm, at, damping = trial, new, max(damping / 8, 1e-10)
+        if np.abs(step).max() < SETTLED:
+            break
+    left = observations.residuals(arm)[:, :3]
+    return Placement(arm, float(np.median(np.linalg.norm(left, axis=1))))
 
 
-def _from_distances(lengths, target, arm):
+def _sigma(posed: bool) -> np.ndarray:
+    return np.repeat(FINE, 3)[: 6 if posed else 3]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misfit:
+    """residual : (m, k) in FINE; moved : (p,) zeros times prior; scale : of the residuals, at least 1; weight : (m,) of each observation."""
+
+    residual: np.ndarray
+    moved: np.ndarray
+    scale: float
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, observations: Observations, arm: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool) -> "_Misfit":
+        r = observations.residuals(arm) / _sigma(posed)
+        size = np.linalg.norm(r, axis=1)
+        scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
+        zeros = np.zeros(len(prior))
+        zeros[6:-6:5] = arm.rows[:, 0] - rows[:, 0]
+        return cls(r, prior * zeros, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
+
+    def cost(self, scale: float) -> float:
+        """Huber's cost of the residuals over a scale, and the prior's."""
+        size = np.linalg.norm(self.residual, axis=1) / scale
+        return float(np.where(size < HUBER, size**2, HUBER * (2 * size - HUBER)).sum() + (self.moved**2).sum())
+
+
+def _same(a: Arm, b: Arm) -> bool:
+    """Whether two placements stand at the same place."""
+    step = a.base.inv() * b.base
+    return bool(np.linalg.norm(step.translation) < SAME[0] and step.rotation.magnitude() < SAME[1])
+
+
+def _covering(count: int) -> np.ndarray:
+    """(count, 3, 3) rotations that cover SO(3) evenly. Source: Alexa, CVPR 2022 (super-Fibonacci spirals)"""
+    phi, psi = np.sqrt(2), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    return Rotation.from_quat(np.stack([r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)], axis=1)).as_matrix()
+
+
+def _span(A: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span those of A."""
+    if not A.shape[1]:
+        return A
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return U[:, s > 1e-9 * s[0]]
+
+
+def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:
     """length^2 = |p|^2 - 2 p.w + |w|^2 is linear in the anchor w and its square; the base's rotation cannot be told and stays."""
     p = target.translation
     A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
@@ -77,21 +230,11 @@ def _from_distances(lengths, target, arm):
     return replace(arm, base=_transform(R, -R @ w))
 
 
-def _rigid(a, b):
-    """Rotation (3, 3) and translation (3,) that lead points a (m, 3) to b (m, 3) (Kabsch)."""
-    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-    return R, b.mean(axis=0) - R @ a.mean(axis=0)
-
-
-def _nearest(matrix):
+def _nearest(matrix: np.ndarray) -> np.ndarray:
     """The rotation nearest to a matrix (3, 3)."""
     U, _, V = np.linalg.svd(matrix)
     return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
 
 
-def _transform(R, t):
+def _transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
     return RigidTransform.from_components(t, Rotation.from_matrix(R))
-
-
-def _mean(T):
-    return RigidTransform.from_components(np.median(T.translation, axis=0), T.rotation.mean())
