@@ -62,9 +62,10 @@ def placed(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
     found = sorted((_refined(some, one.arm, rows, (base, tool), STEPS) for one in rough[:LEADING]), key=lambda p: p.left)
     best = found[0]
     if not best.left < FITS:
+        hint = "" if base and tool else f' Or is [instrument] {"tool" if base else "base"} unknown as well ("free")?'
         raise RigError(f"no place of {_unknown(base, tool)} fits: the best of {len(rough)} starts still leaves {best.left * 1e3:.0f} mm "
                        "(median). Are these the joint angles of these poses, in this order, with these senses and zeros (within "
-                       f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?")
+                       f"{ZERO} rad), and are [mechanism] joints the maker's figures, in metres and radians?{hint}")
     for other in found[1:]:
         if other.left < TWOFOLD * best.left + 1e-6 and not _same(other.arm, best.arm):
             raise RigError(f"{_unknown(base, tool)} can be placed in two ways that fit alike ({best.left * 1e3:.2f} and {other.left * 1e3:.2f} mm, "

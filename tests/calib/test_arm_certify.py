@@ -152,7 +152,9 @@ def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
     rng = np.random.default_rng(6)
     worlds.write(tmp_path / "rec", UR10, worlds.tracked(worlds.secret(UR10, rng), UR10, 60, rng), "rig", "free")
     assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
-    assert "mm (median) from where the owner's model has it" in capsys.readouterr().err and not (tmp_path / "c.json").exists()
+    refused = capsys.readouterr().err
+    assert "no place of the tool fits" in refused and 'is [instrument] base unknown as well ("free")?' in refused
+    assert not (tmp_path / "c.json").exists()
 
 
 def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys):
