@@ -7,7 +7,6 @@ jumped, and learns the poses since anew. A pose that disagrees is held until the
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -15,13 +14,17 @@ from calib.identify import PRIOR, parameters, with_parameters
 from calib.jumps import SUSPECT, Evidence, judge
 from calib.observability import gauge
 from calib.square_root import ALARM, KINDS, REFUSED, SUMS, WINDOW, follow, learn
+from rig import json_file
 from rig.design import Hexapod
+from rig.entries import LARGEST_RIG
 from rig.errors import FileError, RigError
 from rig.pose import pose, vector
 from rig.files import write_text
 
 SCHEMA = "online/1"
 LARGEST = 6  # changes at one pose
+MOST_SHARED = 1000  # draws that all poses' errors have in common: six for a camera
+SINGULAR = 1e-12  # 1/m; what a triangle's diagonal must exceed
 AGAIN = (8, 16, 32, 64, 128)  # poses after which all up to then are linearised again
 
 
@@ -147,7 +150,10 @@ class Online:
         """Take in a pose. state : the present state where the caller has it already"""
         number, x, R, t, C, common = raw
         before = self._state() if state is None else state
-        self.said = learn(x, R, t, C, common, self.variance, self.home, self.p, self.s, self.S, self.sums, self.count % WINDOW, innovation, move)
+        try:
+            self.said = learn(x, R, t, C, common, self.variance, self.home, self.p, self.s, self.S, self.sums, self.count % WINDOW, innovation, move)
+        except ZeroDivisionError:  # a strut without length
+            self.said = REFUSED
         if self.said == REFUSED:
             raise RigError(f"pose {number}: the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         self.count += 1
@@ -226,34 +232,42 @@ class Online:
 
     @classmethod
     def load(cls, path):
-        """The filter as saved. Raises FileError for a file that is missing, cut off, or none of these."""
+        """The filter as saved. Raises FileError for a file that is missing, cut off, or none of these: every array's shape is checked, since
+        compiled code takes it on trust."""
+        tree = json_file.load(path, "state of on-line learning", SCHEMA)
+        m, home = tree.table("nominal"), tree.table("nominal").array("home", (6,))
+        nominal = Hexapod(m.array("base_joints", (6, 3), length_limit=LARGEST_RIG), m.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
+                          m.array("strut_range", (6, 2), length_limit=LARGEST_RIG), pose(home[:3], home[3:]), m.array("strut_zeros", (6,)))
+        s = tree.array("s", (None,))
+        if len(s) > MOST_SHARED:
+            tree.fail(f"s has {len(s)} draws, more than {MOST_SHARED}", "s")
+        made = cls(nominal, len(s), tree.array("scatter", (6,)))
+        made.root, made.p, made.s = tree.array("root", (42, 42)), tree.array("p", (42,), length_limit=LARGEST_RIG), s
+        made.S[:, : len(made.S) + 1] = tree.array("S", (len(made.S), len(made.S) + 1))
+        for key, R in (("root", made.root), ("S", made.S[:, : len(made.S)])):
+            if not (np.abs(np.diag(R)) > SINGULAR).all() or np.tril(R, -1).any() and key == "S":
+                tree.fail(f"{key} is no triangle with an inverse", key)
+        made.first = None if tree.get("first") is None else _in(tree, "first", len(s), AGAIN[-1])
+        recent, held = _in(tree, "recent", len(s), WINDOW), _in(tree, "held", len(s), WINDOW)
+        made.number = tree.whole("number", 0)
         try:
-            tree = json.loads(Path(path).read_text(encoding="utf-8"))
-            if tree["schema"] != SCHEMA:
-                raise FileError(path, f'is no state of on-line learning: its schema is {tree["schema"]!r}, not "{SCHEMA}"')
-            m, home = tree["nominal"], np.array(tree["nominal"]["home"])
-            nominal = Hexapod(m["base_joints"], m["platform_joints"], m["strut_range"], pose(home[:3], home[3:]), m["strut_zeros"])
-            made = cls(nominal, len(tree["s"]), tree["scatter"])
-            made.root = np.array(tree["root"], float).reshape(42, 42)
-            made.p, made.s = np.array(tree["p"]), np.array(tree["s"])
-            made.S[:, : len(made.S) + 1] = tree["S"]
-            made.first = None if tree["first"] is None else [_in(raw, len(made.s)) for raw in tree["first"]]
-            for raw in tree["recent"]:
-                made._learn(_in(raw, len(made.s)), np.empty(6))
-            made.data = set(map(str, tree.get("data", ())))
-            made.number, made.held = tree["number"], tuple(_in(raw, len(made.s)) for raw in tree["held"])
-            return made
-        except FileNotFoundError:
-            raise FileError(path, "no such file") from None
-        except json.JSONDecodeError as error:
-            raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(path, f"is no state of on-line learning: {error!r}") from None
+            for raw in recent:
+                made._learn(raw, np.empty(6))
+        except RigError as error:
+            raise FileError(path, f"is no state of on-line learning: its last poses cannot be learnt again: {error}") from None
+        made.held = tuple(held)
+        made.data = set(tree.texts("data")) if "data" in tree.tree else set()
+        return made
 
 
 def _out(raw):
     return [raw[0], *[part.tolist() for part in raw[1:]]]
 
 
-def _in(raw, shared):
-    return (raw[0], *[np.array(part, float) for part in raw[1:5]], np.array(raw[5], float).reshape(6, shared))
+def _in(tree, key, shared, most):
+    """[raw pose] of what `_out` wrote, at most so many."""
+    rows = tree.lists(key, 6)
+    if len(rows) > most:
+        tree.fail(f"{key} has {len(rows)} poses, more than {most}", key)
+    return [(row.whole(0, 0), row.array(1, (6,)), row.array(2, (3, 3)), row.array(3, (3,)), row.array(4, (6, 6)), row.array(5, (6, shared)))
+            for row in rows]

@@ -17,14 +17,16 @@ from calib.arms.profile import Profile
 from calib.certificate import Figures, HeldOut
 from calib.correction import Correction
 from calib.interpolate.radial import Radial
+from rig import json_file
 from rig.design import Arm, Hexapod
-from rig.errors import FileError
-from rig.recording import Recording
-from rig.pose import pose, vector
+from rig.entries import LARGEST_RIG, Entries
 from rig.provenance import flat, marks, shared
+from rig.recording import Recording
 from rig.files import write_text
+from rig.pose import vector
 
 SCHEMA = "calibration/1"
+MOST_JOINTS = 64
 UNITS = "m, rad, s; covariances in their products"
 FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
           "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
@@ -97,32 +99,20 @@ def save(path, calibration):
 
 
 def load(path):
-    """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, or of another schema."""
-    try:
-        tree = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"cannot be read: {error}") from None
-    if not isinstance(tree, dict) or tree.get("schema") != SCHEMA:
-        found = tree.get("schema") if isinstance(tree, dict) else type(tree).__name__
-        raise FileError(path, f'is no calibration: its schema is {found!r}, not "{SCHEMA}"')
-    try:
-        nominal, fitted = mechanism_in(tree["nominal"]), mechanism_in(tree["fitted"])
-        arm = nominal.kind == "arm"
-        parts = tuple(None if part is None else _part_in(part, Profile if arm else Radial) for part in tree["remainder"])
-        correction = ArmCorrection(nominal, fitted, parts, np.array(tree["visited"], float)) if arm else Correction(nominal, fitted, parts)
-        held = tree["held_out"]
-        held_out = HeldOut(_figures_in(held["before"]), _figures_in(held["after"]), _numbers_in(held["floor"]), tuple(held["ratio"]))
-        scatter = np.array(tree["pose_scatter" if arm else "strut_scatter"], float)
-        return Calibration(correction, np.array(tree["parameter_covariance"], float), scatter,
-                           tuple(tree["fit"]["frames"]), tuple(tree["fit"]["left_out"]), held_out, tree["provenance"])
-    except KeyError as error:
-        raise FileError(path, f"is incomplete: {error} is missing") from None
-    except (TypeError, ValueError) as error:
-        raise FileError(path, f"holds a value of the wrong kind: {error}") from None
+    """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
+    of another shape or a number that cannot be."""
+    tree = json_file.load(path, "calibration", SCHEMA)
+    nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
+    if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
+        tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
+                  f"{len(nominal.axes)}")
+    arm, axes = nominal.kind == "arm", len(nominal.axes)
+    count = len(names(nominal)) if arm else 42
+    parts = _parts_in(tree, axes, arm)
+    correction = ArmCorrection(nominal, fitted, parts, tree.array("visited", (None, axes))) if arm else Correction(nominal, fitted, parts)
+    fit = tree.table("fit")
+    return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
+                       fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree))
 
 
 def mechanism_out(mechanism):
@@ -134,11 +124,19 @@ def mechanism_out(mechanism):
             "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
 
-def mechanism_in(tree):
-    """Hexapod or Arm of what `mechanism_out` gave. Raises KeyError, TypeError or ValueError for anything else."""
-    if tree["kind"] == "arm":
-        return Arm(tree["joints"], tree["limits"], _pose_in(tree["base"]), _pose_in(tree["tool"]))
-    return Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], _pose_in(tree["home"]), tree["strut_zeros"])
+def mechanism_in(table):
+    """Hexapod or Arm of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
+    kind = table.text("kind", ("hexapod", "arm"))
+    if kind == "arm":
+        rows = table.get("joints")
+        columns = len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
+        joints = table.array("joints", (None, columns))
+        if not 0 < len(joints) <= MOST_JOINTS:
+            table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
+        return Arm(joints, table.array("limits", (len(joints), 2)), table.pose("base"), table.pose("tool"))
+    return Hexapod(table.array("base_joints", (6, 3), length_limit=LARGEST_RIG), table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
+                   table.array("strut_range", (6, 2), length_limit=LARGEST_RIG), table.pose("home"),
+                   table.array("strut_zeros", (6,), length_limit=LARGEST_RIG))
 
 
 def _pose_out(T):
@@ -146,25 +144,69 @@ def _pose_out(T):
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
-def _pose_in(tree):
-    return pose(tree["position"], tree["rotvec"])
-
-
 def _part_out(part):
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
             ((name, getattr(part, name)) for name in type(part).__slots__)}
 
 
-def _part_in(tree, kind):
-    return kind(**{name: np.array(value, float) if isinstance(value, list) else value for name, value in tree.items()})
+def _parts_in(tree, axes, arm):
+    """Per axis a Radial, of an arm a Profile, or None."""
+    listed = tree.get("remainder")
+    if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
+        tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
+    tables = [None if part is None else Entries(part, ("remainder", i), tree.file, tree.places) for i, part in enumerate(listed)]
+    return tuple(None if table is None else (_profile_in if arm else _radial_in)(table, axes) for table in tables)
 
 
-def _figures_in(tree):
-    return Figures(tree["n"], *(_numbers_in(tree[name]) for name in ("position", "rotation", "bias", "mean")))
+def _radial_in(table, axes):
+    inputs = table.array("inputs", (None, axes))
+    half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
+    for name, values in (("half", half), ("lengths", lengths)):
+        if (values <= 0).any():
+            table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
+    return Radial(table.array("centre", (axes,)), half, table.whole("axis", 0, most=axes - 1), inputs, table.array("weights", (len(inputs),)),
+                  table.array("sizes", (2,)), lengths, table.number("noise"))
 
 
-def _numbers_in(values):
-    return tuple(np.nan if value is None else value for value in values)
+def _profile_in(table, axes):
+    orders = table.array("orders", (None,))
+    return Profile(table.whole("axis", 0, most=axes - 1), orders, table.array("own", (2 * len(orders),)), table.array("others", (axes, 2)))
+
+
+def _covariance_in(tree, count):
+    """(count, count), symmetric to rounding."""
+    covariance = tree.array("parameter_covariance", (count, count))
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    if (np.diag(covariance) < 0).any() or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any() or \
+            not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
+        tree.fail("parameter_covariance is no covariance", "parameter_covariance")
+    return covariance
+
+
+def _spread_in(tree, key):
+    values = tree.array(key, (6,))
+    if (values < 0).any():
+        tree.fail(f"{key} must not be negative, got {values.tolist()}", key)
+    return values
+
+
+def _held_out_in(table):
+    ratio = table.array("ratio", (3,), nulls=True)
+    return HeldOut(_figures_in(table.table("before")), _figures_in(table.table("after")), tuple(table.array("floor", (2,), nulls=True).tolist()),
+                   tuple(ratio.tolist()))
+
+
+def _figures_in(table):
+    return Figures(table.whole("n", 0), *(tuple(table.array(name, (count,), nulls=True).tolist())
+                                          for name, count in (("position", 3), ("rotation", 3), ("bias", 6), ("mean", 2))))
+
+
+def _provenance_in(tree):
+    """The dict that `provenance` made: what is read from it again is checked."""
+    table = tree.table("provenance")
+    if "data" in table.tree:
+        table.texts("data")
+    return table.tree
 
 
 def nulls(tree):

@@ -10,32 +10,35 @@ import numpy as np
 from rig.controller import PROTOCOLS, Controller
 from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
                         MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
+from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
+from rig.outside import read_text, shown
 from rig.pose import vector
 from rig.toml_positions import positions
-from rig.toml_table import LARGEST_RIG, REQUIRED, TomlTable
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 LARGEST_MARKER = 5.0  # m
+LARGEST_IMAGE = 100_000  # px along a side
+LARGEST = 1 << 22  # bytes of a rig.toml
 
 
 def load(path):
     """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or implausible."""
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FileError(path, "no such file; every recording has a rig.toml") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"cannot be read as text: {error}") from None
+    text = read_text(path, LARGEST, "no such file; every recording has a rig.toml")
     try:
         tree = tomllib.loads(text)
+        places = positions(text)
     except tomllib.TOMLDecodeError as error:
         where = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line, column = map(int, where.groups()) if where else (len(text.splitlines()), None)
         raise FileError(path, f"not valid TOML: {str(error).split(' (at')[0]}", line, column) from None
-    return _design(TomlTable(tree, (), path, positions(text)))
+    except RecursionError:
+        raise FileError(path, "not valid TOML: nested too deep") from None
+    except ValueError as error:  # a number of thousands of digits, a date that there is not
+        raise FileError(path, f"not valid TOML: {error}") from None
+    return _design(Entries(tree, (), path, places))
 
 
 def _design(root):
@@ -163,7 +166,7 @@ def _cameras(tables):
     cameras = []
     for table in tables:
         table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount"))
-        name = table.text("name")
+        name = table.identifier("name")
         if name in [camera.name for camera in cameras]:
             table.fail(f"camera {name!r} is listed twice", "name", value=name)
         matrix = table.array("matrix", (3, 3))
@@ -180,8 +183,9 @@ def _cameras(tables):
                        f"got {len(distortion)}", "distortion")
         shutter = table.text("shutter", ("global", "rolling"), default="global")
         row_time = table.number("row_time", default=REQUIRED if shutter == "rolling" else 0.0, least=0, most=1, unit="s")
-        cameras.append(Camera(name, table.whole("width", 1), table.whole("height", 1), matrix, distortion, table.pose("pose"), shutter,
-                              row_time, table.text("mount", ("fixed", "moving"), default="fixed"), _source(table)))
+        width, height = (table.whole(key, 1, most=LARGEST_IMAGE) for key in ("width", "height"))
+        cameras.append(Camera(name, width, height, matrix, distortion, table.pose("pose"), shutter, row_time,
+                              table.text("mount", ("fixed", "moving"), default="fixed"), _source(table)))
     return tuple(cameras)
 
 
@@ -197,7 +201,7 @@ def _targets(tables):
     targets, owners = [], {}
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
-        name = table.text("name")
+        name = table.identifier("name")
         if name in [target.name for target in targets]:
             table.fail(f"target {name!r} is listed twice", "name", value=name)
         body, dictionary = table.text("body", ("platform", "base")), table.text("dictionary", tuple(DICTIONARIES))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from rig import table
 from rig.errors import FileError
 from rig.pose import TRIANGLE, covariance_from_triangle, pose
-from rig.toml_table import LARGEST_RIG
+from rig.entries import LARGEST_RIG
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))

@@ -5,17 +5,16 @@ low-discrepancy configurations, then a ladder of reversals, then exposes sixty t
 """
 
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import qmc
 
 from rig import mechanisms, table
+from rig.configurations import FILL, along_and_about, grid, low_discrepancy, scaled, simplices
 from rig.design import Design
+from rig.errors import FileError, RigError
 from rig.origin import Origin
-from rig.errors import RigError
-from rig.pose import pose
+from rig.outside import shown
 from rig.recording import Commands
 
 DWELL = 2.0  # s at a configuration before its exposure
@@ -25,7 +24,7 @@ UNSTATED_SPEED = {"m": 0.02, "rad": 0.5}  # m/s or rad/s where the design states
 STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
-FILL = 0.8  # of the strokes that plans use
+MOST = 20_000  # exposures of a plan
 BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
@@ -79,69 +78,6 @@ def settled(configurations, start, speed):
     return writer.plan()
 
 
-def low_discrepancy(strokes, count, fill=FILL, seed=0):
-    """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
-    points = qmc.Sobol(len(strokes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
-    return _scaled(strokes, 2 * points - 1, fill)
-
-
-def grid(strokes, per_axis, fill=FILL):
-    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]), serpentine."""
-    if per_axis < 2:
-        raise RigError(f"a grid has at least 2 points an axis, got {per_axis}")
-    return _scaled(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)
-
-
-def _serpentine(axes, levels):
-    """Grid points of levels on each axis in an order in which neighbours differ in one axis by one level."""
-    if axes == 0:
-        return [()]
-    inner = _serpentine(axes - 1, levels)
-    return [(level, *rest) for k, level in enumerate(levels) for rest in (inner if k % 2 == 0 else inner[::-1])]
-
-
-def simplices(strokes, shells=2, fill=FILL):
-    """Vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on each shell, the
-    axes' ends and the corners of a half fraction of the cube, which together split it into simplices."""
-    axes = len(strokes)
-    ends = np.concatenate([np.eye(axes), -np.eye(axes)])
-    corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])
-    shell = np.concatenate([ends, corners])
-    return _scaled(strokes, np.concatenate([np.zeros((1, axes)), *[shell * (k + 1) / shells for k in range(shells)]]), fill)
-
-
-def along_and_about(design, per_axis=9):
-    """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the struts reach
-    (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
-    mechanism = design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"axes plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
-    module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
-    found = []
-    for axis in range(6):
-        reach = []
-        for sign in (-1, 1):
-            low, high = 0.0, 1.0
-            for _ in range(40):
-                half = (low + high) / 2
-                lengths = module.inverse(_shifted(mechanism, axis, sign * half), mechanism)
-                inside = not module.limits(middle + (lengths - middle) / FILL, mechanism).any()
-                low, high = (half, high) if inside else (low, half)
-            reach.append(sign * low)
-        found += [module.inverse(_shifted(mechanism, axis, step), mechanism) for step in np.linspace(reach[0], reach[1], per_axis)]
-    return np.array(found)
-
-
-def _shifted(mechanism, axis, step):
-    offset = np.zeros(6)
-    offset[axis] = step
-    return pose(offset[:3], [0, 0, 0]) * mechanism.home * pose([0, 0, 0], offset[3:])
-
-
-def _scaled(strokes, unit, fill):
-    return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit
-
-
 def build(design, text, seed=0, one_sided=False):
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts.
@@ -157,13 +93,23 @@ def build(design, text, seed=0, one_sided=False):
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
         if name not in PARTS:
-            raise RigError(f"plan {text!r}: there is no part {name!r}; there are {', '.join(PARTS)}")
-        if name != "commands" and count and not (count.isdigit() and int(count)):
-            raise RigError(f"plan {text!r}: {name} takes a whole number of at least 1, not {count!r}")
+            raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")
+        if name != "commands" and count and not (count.isascii() and count.isdigit() and count.strip("0")):
+            raise RigError(f"plan {shown(text)}: {name} takes a whole number of at least 1, not {shown(count)}")
+        if name != "commands":
+            _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
         PARTS[name](writer, design, count if name == "commands" else int(count or 0), rng)
     if not writer.exposures:
-        raise RigError(f"plan {text!r} exposes nothing")
+        raise RigError(f"plan {shown(text)} exposes nothing")
     return writer.plan()
+
+
+def _refuse_endless(name, count, axes, before, text):
+    """Raise RigError for a part that would make a plan of more than MOST exposures."""
+    each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "ladder": 4.0 * axes * count,
+            "payload": 3.0 * count}.get(name, count)
+    if before + each > MOST:
+        raise RigError(f"plan {shown(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
 
 
 def _visit(configurations):
@@ -244,13 +190,15 @@ def _repeat(writer, design, count, rng):
     strokes = strokes_of(design)
     goals = low_discrepancy(strokes, 3, seed=1)
     for k in range(count or 30):
-        writer.go(_scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
+        writer.go(scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
         writer.settle(goals[k % 3])
 
 
 def _commands(writer, design, file, rng):
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
     values = rows.matrix(design.mechanism.axes)
+    if len(rows) > MOST:
+        raise FileError(file, f"has {len(rows)} rows; a plan exposes at most {MOST} times")
     beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
         rows.fail(f"{mechanisms.places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)

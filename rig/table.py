@@ -3,14 +3,18 @@
 import csv
 import difflib
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from rig.origin import LATEST, Origin, other_unit
+from rig.entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.errors import FileError
+from rig.origin import LATEST, Origin, other_unit
+from rig.outside import read_text, shown
 
 LONGEST_NUMBER = 100  # characters; a float has 17 digits
+MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +43,16 @@ class Table:
         """(n,) finite floats. Raises FileError at the first cell that is none."""
         cells = self.text(column)
         try:
-            values = np.array(cells, float) if cells else np.zeros(0)
-            if np.isfinite(values).all():
-                return values
+            if max(map(len, cells), default=0) <= LONGEST_NUMBER:
+                values = np.array([float(cell) for cell in cells])
+                if (np.abs(values) <= LARGEST_NUMBER).all():
+                    return values
         except ValueError:
             pass
         for i, cell in enumerate(cells):
-            try:
-                bad = "" if np.isfinite(float(cell)) else "is not finite"
-            except ValueError:
-                bad = "is not a number" if cell else "is empty"
-            if bad:
-                self.fail(f"column {column!r} {bad}: {cell!r}", i, column, cell)
+            problem = _number_problem(cell)
+            if problem:
+                self.fail(f"column {shown(column)} {problem}: {shown(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
     def times(self, column, origin: Origin):
@@ -66,14 +68,28 @@ class Table:
     def whole(self, column):
         """(n,) integers of at least 0. Raises FileError at the first cell that is none."""
         values = self.numbers(column)
-        bad = np.flatnonzero((values != np.round(values)) | (values < 0))
+        bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
         if len(bad):
-            self.fail(f"column {column!r} must be a whole number of at least 0, not {self.text(column)[bad[0]]!r}", bad[0], column)
+            limits = "of at least 0" + (f" and at most {LARGEST_WHOLE}" if values[bad[0]] > LARGEST_WHOLE else "")
+            self.fail(f"column {column!r} must be a whole number {limits}, not {shown(self.text(column)[bad[0]])}", bad[0], column)
         return values.astype(int)
 
     def matrix(self, columns):
         """(n, k) finite floats of several columns."""
         return np.stack([self.numbers(column) for column in columns], axis=1) if columns else np.zeros((len(self), 0))
+
+
+def _number_problem(cell):
+    """What is wrong with a cell that should be a number, in words, or None."""
+    if len(cell) > LONGEST_NUMBER:
+        return f"has {len(cell)} characters, more than any number needs"
+    try:
+        value = float(cell)
+    except ValueError:
+        return "is not a number" if cell else "is empty"
+    if not np.isfinite(value):
+        return "is not finite"
+    return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 
 def read(path, required, optional=()):
@@ -84,36 +100,42 @@ def read(path, required, optional=()):
     Raises FileError: no file, no header, a column missing, twice given or misspelt, a row of another length, no rows.
     """
     path = Path(path)
+    reader = csv.reader(StringIO(read_text(path), newline=""))
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"cannot be read as text: {error}") from None
-    reader = csv.reader(text.splitlines())
-    header = tuple(name.strip() for name in next(reader, ()))
-    if not any(header):
-        raise FileError(path, f"is empty; its first line must name the columns {','.join(required)}", 1)
-    for place, name in enumerate(header, 1):
-        if header.index(name) + 1 != place:
-            raise FileError(path, f"column {name!r} is given twice", 1, place, name)
-    missing = [name for name in required if name not in header]
-    if missing:
-        raise FileError(path, f"column {missing[0]!r} is missing; the header is {','.join(header)!r}", 1)
-    absent = [name for name in optional if name not in header and len(name) > 2]
-    for place, name in enumerate(header, 1):
-        near = difflib.get_close_matches(name, absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
-        if near:
-            raise FileError(path, f"unknown column {name!r}; is {near[0]!r} meant?", 1, place, name)
-    rows, lines = [], []
-    for row in reader:
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(row) != len(header):
-            raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns", reader.line_num,
-                            min(len(row), len(header)) or None)
-        rows.append(row)
-        lines.append(reader.line_num)
+        header = _header(path, next(reader, ()), required, optional)
+        rows, lines = [], []
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(header):
+                raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns", reader.line_num,
+                                min(len(row), len(header)) or None)
+            rows.append(row)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise FileError(path, f"not valid CSV: {error}", reader.line_num) from None
     if not rows:
         raise FileError(path, "has a header but no rows", 1)
     return Table(path, header, rows, np.array(lines))
+
+
+def _header(path, cells, required, optional):
+    """Names of the columns, checked."""
+    header = tuple(name.strip() for name in cells)
+    if not any(header):
+        raise FileError(path, f"is empty; its first line must name the columns {','.join(required)}", 1)
+    if len(header) > MOST_COLUMNS:
+        raise FileError(path, f"has {len(header)} columns, more than {MOST_COLUMNS}", 1)
+    first = {}
+    for place, name in enumerate(header, 1):
+        if first.setdefault(name, place) != place:
+            raise FileError(path, f"column {shown(name)} is given twice", 1, place, name)
+    missing = [name for name in required if name not in first]
+    if missing:
+        raise FileError(path, f"column {missing[0]!r} is missing; the header is {shown(','.join(header))}", 1)
+    absent = [name for name in optional if name not in first and len(name) > 2]
+    for place, name in enumerate(header, 1):
+        near = difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()
+        if near:
+            raise FileError(path, f"unknown column {shown(name)}; is {near[0]!r} meant?", 1, place, name)
+    return header

@@ -1,12 +1,11 @@
 """A diagnosed arm's poses drawn anew: the same commands, the arm as it was found, with and without what its joints were found to do."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig import table
+from rig import json_file, table
 from rig.design_file import load
 from rig.errors import FileError
 from rig.files import complete, write_text
@@ -20,18 +19,16 @@ COPIED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv")
 
 
 def drawn(folder):
-    """({"with": RigidTransform (n,), "without": the same}, frames (n,), tree of arm.json) of a folder that `rig diagnose` wrote for an arm.
+    """({"with": RigidTransform (n,), "without": the same}, frames (n,), Entries of arm.json) of a folder that `rig diagnose` wrote for an arm.
 
     Raises FileError for files that are missing or malformed
     """
-    path = folder / "arm.json"
     complete(folder)
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-        arm = replace(load(folder / "rig.toml").mechanism, joints=np.array(tree["joints"], float), base=pose(tree["base"][:3], tree["base"][3:]),
-                      tool=pose(tree["tool"][:3], tree["tool"][3:]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileError(path, f"cannot be read as a diagnosed arm: {error}") from None
+    tree, stated = json_file.load(folder / "arm.json", "diagnosed arm"), load(folder / "rig.toml").mechanism
+    if stated.kind != "arm":
+        raise FileError(folder / "rig.toml", f"arm.json stands beside a mechanism of kind {stated.kind!r}")
+    base, tool = tree.array("base", (6,)), tree.array("tool", (6,))
+    arm = replace(stated, joints=tree.array("joints", (len(stated.joints), 5)), base=pose(base[:3], base[3:]), tool=pose(tool[:3], tool[3:]))
     count = len(arm.joints)
     names = tuple(f"{letter}{j + 1}" for letter in "qe" for j in range(count))
     rows = table.read(folder / "joints.csv", ("frame", *names, "growth"))
@@ -59,7 +56,7 @@ def write(folder, out, rng):
     instrument = design.instrument
     sigma = np.repeat([0.0, 0.0] if instrument is None else [instrument.position_sigma, instrument.rotation_sigma or 0.0], 3)
     noise = rng.normal(size=(len(frames), 6)) * sigma
-    columns = POSE_COLUMNS[: 6 if tree["rotations"] else 3]
+    columns = POSE_COLUMNS[: 6 if tree.flag("rotations") else 3]
     for kind in KINDS:
         (out / kind).mkdir(parents=True, exist_ok=True)
         for name in COPIED:
@@ -68,4 +65,4 @@ def write(folder, out, rng):
         rows = vector(made[kind] * exp(noise))[:, : len(columns)]
         write_table(out / kind / "poses.csv", ("frame", *columns),
                     [",".join([str(frame), *(f"{x:.10f}" for x in row)]) for frame, row in zip(frames, rows)])
-    return len(frames), tree["effects"]
+    return len(frames), tree.texts("effects")

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.design import Arm, Design, Hexapod, Planar2
+from rig.design import Arm, Design, Free, Hexapod, Planar2
+from rig.entries import LARGEST_RIG, Entries
 from rig.errors import RigError
 from rig.pose import pose, vector
 
@@ -50,9 +51,14 @@ def written(mechanism: Hexapod | Planar2 | Arm) -> dict[str, list]:
     return tree | ({name: vector(getattr(mechanism, name)).tolist() for name in PLACES} if mechanism.kind == "arm" else {})
 
 
-def read(stated: Hexapod | Planar2 | Arm, tree: dict) -> Hexapod | Planar2 | Arm:
-    """The mechanism of such a dict, as far as it says; the rest as stated. Raises KeyError, TypeError or ValueError for what is none."""
-    found = {name: tree[name] for name in GEOMETRY[stated.kind] if name in tree}
-    if stated.kind == "arm":
-        found |= {name: pose(tree[name][:3], tree[name][3:]) for name in PLACES if name in tree}
+def read(stated: Hexapod | Planar2 | Arm | Free, table: Entries) -> Hexapod | Planar2 | Arm | Free:
+    """The mechanism of such a dict in a file, as far as it says; the rest as stated. Raises FileError for what is none."""
+    found = {}
+    for name in GEOMETRY.get(stated.kind, ()):
+        if name in table.tree:
+            shape = (len(stated.joints), 5) if name == "joints" else getattr(stated, name).shape
+            found[name] = table.array(name, shape, length_limit=LARGEST_RIG)
+    for name in PLACES if stated.kind == "arm" else ():
+        if name in table.tree:
+            found[name] = pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2))
     return replace(stated, **found)

@@ -1,13 +1,13 @@
 """Sealed truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import beta
 
+from rig import json_file
 from rig.effects import BY_NAME
-from rig.errors import FileError
+from rig.outside import shown
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
 BINS = (0.0, 3.0, 7.0, 20.0, 100.0, np.inf)  # of strength
@@ -109,46 +109,54 @@ def clopper_pearson(hits, trials, level=0.95):
 
 def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
-    tree = _read(truth)
-    try:
-        hidden = [Hidden(e["effect"], _place(e["effect"], e["place"], e["parameters"].get("other", -1)), e["parameters"], s)
-                  for e, s in zip(tree["effects"], tree["strengths"], strict=True)]
-        kind, disturbance = tree["kind"], tree["disturbance"]
-    except (KeyError, ValueError) as error:
-        raise FileError(truth, f"is no truth of a trial: {error!r}") from None
+    tree = json_file.load(truth, "truth of a trial")
+    effects = tree.tables("effects")
+    hidden = [_hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())]
+    kind, disturbance = tree.text("kind"), tree.text("disturbance") if tree.get("disturbance") is not None else None
     if diagnosis is None:
         return Case(index, kind, disturbance, hidden, [], False, float("nan"), seconds, failed)
-    tree = _read(diagnosis)
-    try:
-        found = [_found(f) for f in tree["findings"]]
-        floor = tree["fit"]["noise_floor"]
-        ratio = tree["fit"]["heldout_after"] / floor if floor else float("nan")
-        unexplained = tree["unexplained"] is not None or any(f.effect == "unknown" for f in found)
-    except (KeyError, TypeError) as error:
-        raise FileError(diagnosis, f"is no diagnosis: {error!r}") from None
-    return Case(index, kind, disturbance, hidden, found, unexplained, ratio, seconds)
+    tree = json_file.load(diagnosis, "diagnosis")
+    found, fit = [_found(table) for table in tree.tables("findings")], tree.table("fit")
+    after, floor = (fit.number(key, nulls=True) for key in ("heldout_after", "noise_floor"))
+    unexplained = tree.get("unexplained") is not None or any(f.effect == "unknown" for f in found)
+    return Case(index, kind, disturbance, hidden, found, unexplained, after / floor if floor else float("nan"), seconds)
 
 
-def _found(f):
-    parameters = {name: (p["value"], p.get("ci95")) for name, p in f["parameters"].items()}
-    return Found(f["effect"], _place(f["effect"], f["place"], parameters.get("other", (-1,))[0]), parameters,
-                 [(r["effect"], r["place"]) for r in f["cannot_be_told_from"]])
+def _hidden(table, strength):
+    effect, parameters = table.text("effect"), table.table("parameters")
+    if effect in BY_NAME:
+        known = [p.name for p in BY_NAME[effect].parameters]
+        for name, value in parameters.tree.items():
+            if name not in known:
+                parameters.fail(f"{effect} has no parameter {shown(name)}; it has {', '.join(known)}")
+            parameters.numbers(value, (None,) if isinstance(value, list) else (), name, ())
+    return Hidden(effect, _place(table, effect, parameters.tree.get("other", -1)), parameters.tree, strength)
 
 
-def _place(effect, place, other):
+def _found(table):
+    effect, parameters, inner = table.text("effect"), {}, table.table("parameters")
+    for name in inner.tree:
+        p = inner.table(name)
+        value, interval = p.get("value"), p.get("ci95", None)
+        if effect in BY_NAME:
+            shape = (len(value),) if isinstance(value, list) else ()
+            p.numbers(value, shape, "value", (), nulls=True)
+            if interval is not None:
+                p.numbers(interval, (2, *shape), "ci95", (), nulls=True)
+        parameters[name] = (value, interval)
+    rivals = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")]
+    return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, rivals)
+
+
+def _place(table, effect, other):
     """The place; of two markers exchanged with each other, either of which may be given, the lower."""
-    if effect != "marker_swap" or other is None or other < 0:
+    place = table.text("place")
+    if effect != "marker_swap" or not isinstance(other, int | float) or not other >= 0:
         return place
-    return f"marker {min(int(place.split(' ')[1]), int(other))}"
-
-
-def _read(path):
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except (OSError, json.JSONDecodeError) as error:
-        raise FileError(path, f"cannot be read: {error} (cut off?)") from None
+    number = place.partition(" ")[2]
+    if not (number.isascii() and number.isdigit()):
+        table.fail(f"{table.name('place')} must be a marker, not {shown(place)}", "place")
+    return f"marker {min(int(number), int(other))}"
 
 
 def covered(hidden, found):

@@ -2,14 +2,14 @@
 
 import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from rig import mechanisms
+from rig import json_file, mechanisms
 from rig.design import Arm, Design, Hexapod, Planar2
-from rig.effects.parse import from_dict, to_dict
-from rig.errors import FileError
+from rig.effects.parse import from_dict, placed, to_dict
+from rig.entries import LARGEST_RIG
+from rig.errors import FileError, RigError
 from rig.pose import exp, pose, vector
 from rig.recording import Sensors
 from rig.files import write_text
@@ -86,20 +86,36 @@ def write_truth(path, world, T_base_platform, **more):
 
 def from_truth(path, stated):
     """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
-    try:
-        tree = json.loads(Path(path).read_text(encoding="utf-8"))
-        mechanism = machines.read(stated.mechanism, tree)
-        known = {entry["name"]: entry for entry in tree["cameras"]}
-        cameras = tuple(replace(c, matrix=known[c.name]["matrix"], distortion=known[c.name]["distortion"],
-                                pose=pose(known[c.name]["pose"][:3], known[c.name]["pose"][3:])) for c in stated.cameras)
-        limbs = stated.insitu
-        if limbs is not None and "insitu" in tree:
-            limbs = replace(limbs, **tree["insitu"])
-        return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs),
-                     tuple(from_dict(entry) for entry in tree["effects"]))
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"is no truth of this rig: {error!r}") from None
+    tree, limbs = json_file.load(path, "truth of this rig"), stated.insitu
+    mechanism = machines.read(stated.mechanism, tree)
+    known = {entry.text("name"): entry for entry in tree.tables("cameras")}
+    missing = [c.name for c in stated.cameras if c.name not in known]
+    if missing:
+        tree.fail(f"is no truth of this rig: cameras lacks {missing[0]!r}", "cameras")
+    cameras = tuple(_seen_as(c, known[c.name]) for c in stated.cameras)
+    if limbs is not None and "insitu" in tree.tree:
+        table = tree.table("insitu")
+        limbs = replace(limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG)
+                                  for name in ("base_joints", "platform_joints", "zeros")})
+    return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), effects_in(tree, "effects", stated))
+
+
+def effects_in(tree, key, design):
+    """Effects that a JSON table lists, as `to_dict` wrote them. Raises FileError for one that there is not, or not on this rig."""
+    found = []
+    for number, entry in enumerate(tree.tables(key), 1):
+        try:
+            found.append(placed(from_dict(entry.tree), design))
+        except FileError:
+            raise
+        except RigError as error:
+            tree.fail(f"{key}.{number}: {error}", key)
+    return tuple(found)
+
+
+def _seen_as(camera, table):
+    """A Camera as a truth file has it."""
+    matrix, terms, vector_ = table.array("matrix", (3, 3)), table.array("distortion", (len(camera.distortion),)), table.array("pose", (6,))
+    if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
+        table.fail(f"{table.name('matrix')} is no camera matrix: {matrix.tolist()}", "matrix")
+    return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))

@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
+from rig import json_file
 from rig.commands.output import Progress, add_force
-from rig.errors import MissingLibrary, RigError
+from rig.errors import FileError, MissingLibrary, RigError
+from rig.outside import read_bytes, shown
 from rig.processes import cores, end_waiting, finished
 
 ALONE = "import sys; from rig.processes import end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
@@ -19,6 +21,7 @@ DIAGNOSE = ALONE + "from rig.commands.sealed import forbid; from rig.cli import 
 SEAL = ALONE + "import json; from rig.commands.blind import seal; seal(*json.loads(sys.argv[2]))"
 ONE_THREAD = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 ROOT = Path(__file__).parents[2]  # children run the code that runs here, wherever they stand
+MOST, MOST_FRAMES = 1_000_000, 10_000  # trials of a season, frames of a trial
 INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
 
 
@@ -70,11 +73,11 @@ def _settings(arguments, blind):
     """What makes a season: all that its recordings depend on."""
     from rig.effects import BY_NAME
 
-    if arguments.season < 1 or arguments.jobs < 1 or arguments.seed < 0:
-        raise RigError("--season and --jobs take at least 1, --seed at least 0")
+    if not 1 <= arguments.season <= MOST or arguments.jobs < 1 or not 0 <= arguments.seed < 1 << 63:
+        raise RigError(f"--season takes 1 to {MOST}, --jobs at least 1, --seed at least 0 and below 2^63")
     frames = blind.FRAMES if arguments.frames is None else arguments.frames
-    if frames < 40:
-        raise RigError(f"--frames must be at least 40, not {frames}: a diagnosis takes some poses")
+    if not 40 <= frames <= MOST_FRAMES:
+        raise RigError(f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses")
     lists = {name: [part.strip() for part in getattr(arguments, name).split(",") if part.strip()] for name in ("hide", "effects", "blindfold")}
     for name, known in (("hide", blind.KINDS), ("effects", BY_NAME), ("blindfold", blind.BLINDFOLDS)):
         for part in lists[name]:
@@ -91,12 +94,11 @@ def _indices(text, count):
         return list(range(1, count + 1))
     try:
         ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
-        found = sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
     except ValueError:
-        raise RigError(f"--trials takes for example 3,7-9, not {text!r}") from None
-    if not found or found[0] < 1 or found[-1] > count:
-        raise RigError(f"--trials {text}: the season has trials 1 to {count}")
-    return found
+        raise RigError(f"--trials takes for example 3,7-9, not {shown(text)}") from None
+    if any(len(ends) > 2 or not 1 <= ends[0] <= ends[-1] <= count for ends in ranges):
+        raise RigError(f"--trials {shown(text)}: the season has trials 1 to {count}, and a range runs from small to large")
+    return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
 
 def _same_season(path, settings):
@@ -104,13 +106,10 @@ def _same_season(path, settings):
     from rig.files import write_text
 
     if path.exists():
-        try:
-            held = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            raise RigError(f"{path} is not valid JSON; it is what makes the season in its folder") from None
+        held = json_file.load(path, "season").tree
         other = [name for name in settings if held.get(name) != settings[name]]
         if other:
-            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {held.get(n)!r} (not {settings[n]!r})" for n in other))
+            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {shown(held.get(n))} (not {settings[n]!r})" for n in other))
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
@@ -171,22 +170,22 @@ def _digest(out: Path, index: int) -> str | None:
     path = _seal(out, index)
     if not path.exists():
         return None
-    found = re.match(rb"[0-9a-f]{64}\b", path.read_bytes())
+    found = re.match(rb"[0-9a-f]{64}\b", read_bytes(path))
     if found is None:
         print(f"trial {index}: {path} holds no sha256; it is sealed anew", file=sys.stderr)
     return found and found[0].decode()
 
 
-def _record(out: Path, index: int) -> dict | None:
-    """What is noted of a trial's diagnosis, or None where there is none or it is torn, which is said: the trial is then diagnosed anew."""
+def _record(out: Path, index: int) -> tuple[float, str | None] | None:
+    """(seconds, error or None) of a trial's diagnosis, or None where there is none or it is torn, which is said: it is then diagnosed anew."""
     path = out / "diagnoses" / f"{index:04d}.json"
     if not path.exists():
         return None
     try:
-        tree = json.loads(path.read_bytes())
-        return {"seconds": float(tree["seconds"]), "failed": tree["failed"]}
-    except (ValueError, KeyError, TypeError, RecursionError):
-        print(f"trial {index}: {path} is no record of a diagnosis; it is diagnosed anew", file=sys.stderr)
+        table = json_file.load(path, "record of a diagnosis")
+        return table.number("seconds", least=0), None if table.get("failed") is None else table.text("failed")
+    except FileError as error:
+        print(f"trial {index}: it is diagnosed anew: {error}", file=sys.stderr)
         return None
 
 
@@ -232,10 +231,11 @@ def _each(pool, function, calls, label):
 def _unsealed(out, index, score):
     """score.Case of a trial. Raises RigError where the truth is not what was sealed."""
     truth, record = out / "truth" / f"{index:04d}.json", _record(out, index)
-    if not truth.exists() or sha256(truth.read_bytes()).hexdigest() != _digest(out, index):
+    if not truth.exists() or sha256(read_bytes(truth)).hexdigest() != _digest(out, index):
         raise RigError(f"{truth} is not what was sealed before the diagnosis; take the trial out of the season")
-    diagnosis = None if record["failed"] else out / "diagnoses" / f"{index:04d}" / "diagnosis.json"
-    return score.case(index, truth, diagnosis, record["seconds"], record["failed"])
+    seconds, failed = record
+    diagnosis = None if failed else out / "diagnoses" / f"{index:04d}" / "diagnosis.json"
+    return score.case(index, truth, diagnosis, seconds, failed)
 
 
 def _report(out, settings, cases, score):

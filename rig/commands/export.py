@@ -16,7 +16,8 @@ def arguments(parser):
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: screws turned by their cardans (screw_coupling)")
-    parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for --coupling")
+    parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
+                        "--coupling (default [actuator] screw_lead of a rig.toml)")
     add_force(parser)
 
 
@@ -25,12 +26,19 @@ def run(arguments):
     from rig.export import genhexkins, sheet, urdf
     from rig.files import write_text
 
-    mechanism, remainder = _machine(arguments.machine)
+    mechanism, remainder, lead = _machine(arguments.machine)
+    lead = lead if arguments.lead is None else arguments.lead
+    if arguments.coupling and lead is None:
+        raise RigError(f"--coupling takes the screws' lead, m per revolution: give --lead, since {arguments.machine} does not state it"
+                       + (" ([actuator] screw_lead)" if arguments.machine.suffix == ".toml" else " (a rig.toml may, as [actuator] screw_lead)"))
+    if not -10 <= arguments.coupling <= 10 or (lead is not None and not 0 < lead <= 1):
+        raise RigError(f"--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not {arguments.coupling:g} and {lead:g}"
+                       if lead is not None else f"--coupling is a share between -10 and 10, not {arguments.coupling:g}")
     kinds = FORMATS[arguments.format]
     if mechanism.kind not in kinds:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, arguments.lead, arguments.coupling),
+    text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, lead, arguments.coupling),
             "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: sheet.as_json(mechanism),
             "csv": lambda: sheet.as_csv(mechanism)}[arguments.format]()
     if remainder:
@@ -44,12 +52,13 @@ def run(arguments):
 
 
 def _machine(path):
-    """(mechanism, numbers of the axes that are corrected beyond it) of a calibration.json or a rig.toml."""
+    """(mechanism, numbers of the axes that are corrected beyond it, the screws' lead in m or None) of a calibration.json or a rig.toml."""
     if path.suffix == ".toml":
         from rig import design_file
 
-        return design_file.load(path).mechanism, []
+        design = design_file.load(path)
+        return design.mechanism, [], design.actuator.screw_lead
     from calib import store
 
     correction = store.load(path).correction
-    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None]
+    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None], None

@@ -40,12 +40,12 @@ def _separate(arguments):
 
     from calib.diagnose.separate import separation
     from rig import design_file, writing
-    from rig.effects.parse import parse
+    from rig.effects.parse import parse, placed
     from rig.plan import build, logged
     from synthetic.world import weather
 
     design = design_file.load(arguments.design)
-    effects = [parse(text) for text in arguments.separate]
+    effects = [placed(parse(text), design) for text in arguments.separate]
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
     if seen:
         raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "

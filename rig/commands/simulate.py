@@ -6,6 +6,7 @@ from pathlib import Path
 from rig.commands.output import Progress, add_force
 from rig.errors import RigError
 
+LARGEST_SETTING = 1e6  # of a simulated sensor
 SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, radius of a disc on top of it",
           "vignetting": "share of the light lost in the corners", "gain": "grey levels of a white face in full light",
           "exposure": "s", "exposures": "pictures averaged over the exposure", "read_noise": "grey levels",
@@ -39,14 +40,14 @@ def arguments(parser):
 def run(arguments):
     """Simulate a recording and write it, and its truth apart."""
     from rig import design_file
-    from rig.effects.parse import parse
+    from rig.effects.parse import parse, placed
 
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
     design = design_file.load(arguments.design)
-    effects = tuple(parse(text) for text in arguments.effect)
+    effects = tuple(placed(parse(text), design) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
     if design.instrument is None and not (design.cameras and design.targets):
@@ -130,11 +131,14 @@ def _again(arguments):
 
 
 def _check(arguments, sensor):
-    if arguments.noise < 0:
-        raise RigError(f"--noise must be at least 0 px, not {arguments.noise:g}")
+    for name, most, unit in (("noise", 1000, "px"), ("secret", 1000, ""), ("seed", (1 << 63) - 1, "")):
+        value = getattr(arguments, name)
+        if not 0 <= value <= most:  # true for what is not a number, too
+            raise RigError(f"--{name} must be at least 0 and at most {most:g} {unit}".rstrip() + f", not {value:g}")
     for field in fields(sensor):
-        if getattr(sensor, field.name) < 0:
-            raise RigError(f"--{field.name.replace('_', '-')} must not be negative, got {getattr(sensor, field.name):g}")
+        if not 0 <= getattr(sensor, field.name) <= LARGEST_SETTING:
+            raise RigError(f"--{field.name.replace('_', '-')} must not be negative, nor beyond {LARGEST_SETTING:g}, "
+                           f"got {getattr(sensor, field.name):g}")
     if sensor.bits not in (8, 12):
         raise RigError(f"--bits takes 8 or 12, not {sensor.bits}")
     if sensor.exposure > 0 and sensor.exposures < 2:

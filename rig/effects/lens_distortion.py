@@ -30,6 +30,10 @@ class LensDistortion(Effect):
     action: ClassVar = "Calibrate that lens with more terms; what is fitted here already corrects this recording."
     view: ClassVar = "map"
 
+    def problem(self) -> str | None:
+        sizes = [0, *(count(degree) for degree in range(2, 31))]
+        return None if len(self.warp) in sizes else f"warp has {', '.join(map(str, sizes[:5]))} .. numbers, those of a degree, not {len(self.warp)}"
+
     def camera(self, camera: Camera) -> Camera:
         if not self.at(f"camera {camera.name}") or not any(self.terms):
             return camera

@@ -35,6 +35,9 @@ class MarkerSwap(Effect):
             return cls(place, other=float(rng.choice([i for i in target.ids if i != number])))
         return cls(place, turn=float(rng.integers(1, 4)))
 
+    def problem(self) -> str | None:
+        return None if self.other == int(self.other) and self.turn == int(self.turn) else "other and turn are whole numbers"
+
     def attach(self, markers: Any) -> Any:
         a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a

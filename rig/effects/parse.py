@@ -1,13 +1,16 @@
 """Effects as text: backlash:strut3:gap=40e-6 on a command line, a dict in a truth file."""
 
-import difflib
 import re
 
 import numpy as np
 
+from rig import mechanisms
+from rig.design import Design
 from rig.effects import BY_NAME
 from rig.effects.base import AXES, Effect, check
+from rig.entries import NAME, slip
 from rig.errors import RigError
+from rig.outside import shown
 
 
 def parse(text: str) -> Effect:
@@ -17,10 +20,7 @@ def parse(text: str) -> Effect:
     Raises RigError naming what is not known.
     """
     name, _, rest = text.partition(":")
-    if name not in BY_NAME:
-        near = difflib.get_close_matches(name, BY_NAME, n=1)
-        raise RigError(f"effect {text!r}: there is no effect {name!r}{f'; is {near[0]!r} meant?' if near else ''}; there are {', '.join(BY_NAME)}")
-    kind = BY_NAME[name]
+    kind = _named(name, text)
     place, _, assignments = rest.partition(":")
     values = {}
     known = {parameter.name: parameter for parameter in kind.parameters}
@@ -28,28 +28,28 @@ def parse(text: str) -> Effect:
         key, equals, value = assignment.partition("=")
         key = key.strip()
         if not equals or key not in known:
-            raise RigError(f"effect {text!r}: {assignment!r} is no PARAMETER=VALUE; {name} has {', '.join(known)}")
+            raise RigError(f"effect {shown(text)}: {shown(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(known)}")
         try:
             numbers = tuple(float(part) for part in value.split("/"))
         except ValueError:
-            raise RigError(f"effect {text!r}: {value!r} is no number") from None
+            raise RigError(f"effect {shown(text)}: {shown(value)} is no number") from None
         values[key] = numbers if known[key].size != 1 else numbers[0]
         if known[key].size == 1 and len(numbers) > 1:
-            raise RigError(f"effect {text!r}: {key} is one number, got {value!r}")
+            raise RigError(f"effect {shown(text)}: {key} is one number, got {shown(value)}")
     try:
         return check(kind(_place(place.strip(), kind), **values))
     except (TypeError, ValueError) as error:
-        raise RigError(f"effect {text!r}: {error}") from None
+        raise RigError(f"effect {shown(text)}: {error}") from None
 
 
 def _place(text: str, kind: type[Effect]) -> str:
     kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
     if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
         return text
-    for place in ("strut", "joint", "camera", "marker", "target"):
+    for place in (*AXES, "camera", "marker", "target"):
         if place in kinds:
-            rest = re.fullmatch(rf"(?:{place})?[ _]?(\S+)", text)
-            if rest and (place in ("camera", "target") or rest.group(1).isdigit()):
+            rest = re.fullmatch(rf"(?:{place})?[ _]?({'[0-9]+' if place in (*AXES, 'marker') else NAME.pattern})", text)
+            if rest:
                 return f"{place} {rest.group(1)}"
     if not text and len(kind.places) == 1 and kind.places[0] in ("rig", "clock", "cameras", "markers"):
         return kind.places[0]
@@ -65,8 +65,42 @@ def to_dict(effect: Effect) -> dict:
 
 def from_dict(tree: dict) -> Effect:
     """The effect of such a dict. Raises RigError for one that is none."""
+    if not isinstance(tree, dict) or not isinstance(tree.get("effect"), str) or not isinstance(tree.get("place"), str) \
+            or not isinstance(tree.get("parameters"), dict):
+        raise RigError(f"{shown(tree)} is no effect: it takes effect, place and parameters")
+    kind = _named(tree["effect"], tree["effect"])
+    known = {parameter.name for parameter in kind.parameters}
+    values = {}
+    for key, value in tree["parameters"].items():
+        numbers = value if isinstance(value, list) else [value]
+        if key not in known or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            raise RigError(f"{shown(tree)} is no effect: {shown(key)} = {shown(value)}; {kind.name} has {', '.join(sorted(known))}, numbers")
+        values[key] = tuple(value) if isinstance(value, list) else value
     try:
-        values = {key: tuple(value) if isinstance(value, list) else value for key, value in tree["parameters"].items()}
-        return check(BY_NAME[tree["effect"]](tree["place"], **values))
-    except (KeyError, TypeError, ValueError) as error:
-        raise RigError(f"{tree!r} is no effect: {error!r}") from None
+        return check(kind(tree["place"], **values))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RigError(f"{shown(tree)} is no effect: {error}") from None
+
+
+def _named(name: str, text: str) -> type[Effect]:
+    if name not in BY_NAME:
+        near = slip(name, BY_NAME)
+        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}{f'; is {near!r} meant?' if near else ''}; there are {', '.join(BY_NAME)}")
+    return BY_NAME[name]
+
+
+def placed(effect: Effect, design: Design) -> Effect:
+    """The effect itself. Raises RigError where a design has no such place."""
+    kind, _, name = effect.place.partition(" ")
+    axes = [place.split(" ") for place in mechanisms.places(design.mechanism)]
+    there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
+             "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
+    asked = [(kind, name)] if name and kind in there else []
+    if effect.name == "marker_swap" and effect.other >= 0:
+        asked.append(("marker", f"{effect.other:g}"))
+    for what, one in asked:
+        if one not in there[what]:
+            near = slip(one, there[what])
+            raise RigError(f"{effect.name} at {effect.place}: this rig has no {what} {shown(one)}"
+                           + (f"; is {near!r} meant?" if near else "") + f"; it has {', '.join(there[what]) or 'none'}")
+    return effect

@@ -35,6 +35,11 @@ class TransmissionError(Effect):
     own_axis: ClassVar = 3
     once: ClassVar = True
 
+    def problem(self) -> str | None:
+        if len(self.span) not in (0, 2) or (len(self.span) == 2 and not self.span[0] < self.span[1]):
+            return f"span has two numbers, the smaller first, not {list(self.span)}"
+        return None if len(self.profile) > 1 else "profile has at least 2 numbers, at the ends of its span"
+
     @property
     def rms(self) -> float:
         """m or rad, root mean square of the profile."""

@@ -29,7 +29,7 @@ def text(hexapod, units="mm", lead=None, gain=0.0):
     zeros, sign = hexapod.strut_zeros, np.ones(6)
     if gain:
         if lead is None:
-            raise RigError("a coupling of the screws needs their lead: [actuator] screw_lead in rig.toml")
+            raise RigError("a coupling of the screws needs their lead, m per revolution")
         twist = cardan_twist(hexapod.home, hexapod)
         sign = np.where(np.abs(twist) > np.pi / 2, -1.0, 1.0)  # the platform's axis the other way round is the same axis
         turned = twist - np.where(sign < 0, np.copysign(np.pi, twist), 0)

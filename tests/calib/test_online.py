@@ -1,5 +1,6 @@
 """One pose at a time: the batch's optimum, what jumps, what is merely wrong, and restarts."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -174,6 +175,24 @@ def test_what_is_no_state_is_refused(tmp_path, text, says):
         Online.load(tmp_path / "s.json")
     with pytest.raises(FileError, match="no such file"):
         Online.load(tmp_path / "typo.json")
+
+
+@pytest.mark.parametrize(("key", "value", "says"), [
+    ("p", lambda v: v[:41], "p must have 42 numbers, got 41 entries"), ("p", lambda v: [*v[:41], 1e308], "p.42. is too large"),
+    ("scatter", lambda v: [], "scatter must have 6 numbers, got 0 entries"), ("s", lambda v: [0.0], "S must have 43xn|S must have 43x44"),
+    ("S", lambda v: v[:5], "S must have 42x43"), ("S", lambda v: [[0.0] * 43] * 42, "no triangle"), ("root", lambda v: v[0], "root.1. must have"),
+    ("recent", lambda v: [v[0][:5]], "lists of 6"), ("recent", lambda v: [[*v[0][:2], [[1.0]], *v[0][3:]]], "recent.1.3 must have 3x3"),
+    ("recent", lambda v: v * 9, "recent has"), ("held", lambda v: None, "held must be a list"), ("number", lambda v: 2**70, "number must be"),
+    ("first", lambda v: [[0, "x", 0, 0, 0, 0]], "first.1.2 must have 6 numbers"),
+    ("recent", lambda v: [[*v[0][:4], [[0.0] * 6] * 6, v[0][5]]], "cannot be learnt again"),
+])
+def test_arrays_of_a_state_are_checked_before_compiled_code_takes_them(design, tmp_path, key, value, says):
+    learner, _ = learnt(design, stream(design, 3, 5))
+    learner.save(tmp_path / "s.json")
+    tree = json.loads((tmp_path / "s.json").read_text())
+    (tmp_path / "s.json").write_text(json.dumps(tree | {key: value(tree[key])}))
+    with pytest.raises(FileError, match=says):
+        Online.load(tmp_path / "s.json")
 
 
 @pytest.mark.slow

@@ -37,8 +37,8 @@ def test_what_is_saved_corrects_as_before(calibration, design, tmp_path):
     (lambda text: text[: len(text) // 2], "not valid JSON.*cut off"),
     (lambda text: text.replace("calibration/1", "calibration/9"), "calibration/9"),
     (lambda text: "[]", "no calibration"),
-    (lambda text: text.replace('"fitted"', '"futted"'), "'fitted' is missing"),
-    (lambda text: text.replace('"base_joints": [', '"base_joints": [[1, 2, 3],', 1), "wrong kind"),
+    (lambda text: text.replace('"fitted"', '"futted"'), "fitted is missing; is 'futted' meant"),
+    (lambda text: text.replace('"base_joints": [', '"base_joints": [[1, 2, 3],', 1), "base_joints must have 6x3 numbers, got 7 entries"),
 ])
 def test_what_is_no_calibration_is_refused(calibration, tmp_path, spoil, says):
     store.save(tmp_path / "c.json", calibration)

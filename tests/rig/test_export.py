@@ -50,7 +50,7 @@ def test_genhexkins_screws_couple_as_ours_do(true, gain):
 
 
 def test_genhexkins_refuses_what_it_cannot_hold(true):
-    with pytest.raises(RigError, match="screw_lead"):
+    with pytest.raises(RigError, match="lead, m per revolution"):
         genhexkins.text(true.mechanism, gain=0.5)
     with pytest.raises(ValueError, match="mm or m"):
         genhexkins.text(true.mechanism, "inch")

@@ -186,7 +186,7 @@ def test_what_is_no_season_is_said(tmp_path):
     with pytest.raises(FileError, match="cut off"):
         score.case(1, tmp_path / "t.json", None)
     (tmp_path / "t.json").write_text('{"effects": []}')
-    with pytest.raises(FileError, match="no truth of a trial"):
+    with pytest.raises(FileError, match="strengths is missing"):
         score.case(1, tmp_path / "t.json", None)
 
 

@@ -1,0 +1,32 @@
+"""A JSON file of ours -> Entries that check what they hand out; every complaint names the file and the key."""
+
+import json
+from pathlib import Path
+
+from rig.entries import Entries
+from rig.errors import FileError
+from rig.outside import read_text, shown
+
+LARGEST = 1 << 26  # bytes
+
+
+def load(path: Path, what: str, schema: str | None = None) -> Entries:
+    """The table that a JSON file holds. what : it should be, as in "calibration"; schema : that it must name, or None for any.
+
+    Raises FileError for a file that is missing, cut off, no JSON, nested too deep or of another schema
+    """
+    path = Path(path)
+    text = read_text(path, LARGEST)
+    try:
+        tree = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
+    except RecursionError:
+        raise FileError(path, "not valid JSON: nested too deep") from None
+    except ValueError as error:  # a number that is none, or of thousands of digits
+        raise FileError(path, f"not valid JSON: {error}") from None
+    if not isinstance(tree, dict):
+        raise FileError(path, f"is no {what}: it holds {shown(tree)}")
+    if schema is not None and tree.get("schema") != schema:
+        raise FileError(path, f'is no {what}: its schema is {shown(tree.get("schema"))}, not "{schema}"')
+    return Entries(tree, (), path, {(): (None, None)})
