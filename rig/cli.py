@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
+from typing import NoReturn
 
 from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
@@ -71,13 +72,21 @@ def main(argv=None):
     return _run(arguments)
 
 
+def script() -> NoReturn:
+    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that clears itself away."""
+    status = main()
+    if status > 128:
+        os._exit(status)
+    sys.exit(status)
+
+
 class _Parser(argparse.ArgumentParser):
     def print_help(self, file=None) -> None:
         """Print the help; unlike argparse's own this raises OSError where it cannot."""
         print(self.format_help(), end="", file=file)
 
 
-class Ended(BaseException):
+class Ended(KeyboardInterrupt):
     """Somebody asked this process to end; number : of the signal."""
 
     def __init__(self, number: int) -> None:
@@ -106,10 +115,10 @@ def _run(arguments: argparse.Namespace) -> int:
             return 1
         where = error.filename or ("standard output" if error.errno in UNWRITABLE else "")  # files are written where a FileError names them
         return _failed(f"{name}: {f'{where}: ' if where else ''}{error.strerror or error}")
-    except KeyboardInterrupt:
-        return _failed(f"{name}: interrupted", 130)
     except Ended as end:
         return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
+    except KeyboardInterrupt:
+        return _failed(f"{name}: interrupted", 130)
 
 
 def _read(arguments: argparse.Namespace) -> list[Path]:

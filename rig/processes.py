@@ -3,6 +3,7 @@
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -51,7 +52,7 @@ def pool_of(count: int, method: str, start: Callable | None = None, given: tuple
     Raises RigError where a process of it is ended from outside, which a system short of memory does
     """
     before = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context(method), _begin, (os.getpid(), start, given))
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context(method), _begin, (os.getpid(), pickle.dumps((start, given))))
     try:
         yield pool
     except BaseException as error:
@@ -97,11 +98,13 @@ def end_with(parent: int) -> None:
         os._exit(1)
 
 
-def _begin(parent: int, start: Callable | None, given: tuple) -> None:
+def _begin(parent: int, rest: bytes) -> None:
+    """rest : (start, given) as `pool_of` has them; opened last, as what it takes to do that may have to be imported, which lasts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     end_with(parent)
+    start, given = pickle.loads(rest)
     if start is not None:
         start(*given)
 
