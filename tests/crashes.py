@@ -61,7 +61,7 @@ class Command:
     """`rig` with some words in a folder, as a process of its own that is forked from this one, so that importing takes no time."""
 
     def __init__(self, folder: Path, words: list[str]) -> None:
-        self._said = tempfile.TemporaryFile()
+        self._said, self.error = tempfile.TemporaryFile(), ""  # what it says on the error output, once it has ended
         self.pid = os.fork()
         if not self.pid:
             status = 99
@@ -86,16 +86,13 @@ class Command:
         while True:
             pid, status = os.waitpid(self.pid, 0 if end is None else os.WNOHANG)
             if pid:
+                with self._said as said:
+                    said.seek(0)
+                    self.error = said.read().decode()
                 return os.waitstatus_to_exitcode(status)
             if time.monotonic() > end:
                 return None
             time.sleep(0.002)
-
-    @property
-    def error(self) -> str:
-        """What it said on the error output."""
-        self._said.seek(0)
-        return self._said.read().decode()
 
     def outlived(self) -> bool:
         """Whether a process that it started still runs two seconds from now."""
