@@ -84,17 +84,19 @@ class WanderingBase(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Crosstalk(Effect):
-    """A strut takes a share of another's stroke."""
+    """A strut takes a share of another's stroke, the more the farther out: its square over its reach m, with the sign of the stroke."""
 
     place: str
     other: int
     share: float
+    reach: float
     name: ClassVar = "crosstalk"
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
 
     def deviation(self, motion):
-        return self.axes(motion.places) * self.share * (motion.lengths - motion.home)[:, [self.other - 1]]
+        stroke = motion.stroke[:, [self.other - 1]]
+        return self.axes(motion.places) * self.share * stroke * np.abs(stroke) / self.reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +201,7 @@ def draw(design, duration, rng):
     if name is WanderingBase:
         return WanderingBase("rig", waves(6, _log(rng, 5e-6, 1e-4)))
     if name is Crosstalk:
-        return Crosstalk(strut, int((int(strut[-1]) + rng.integers(1, 6) - 1) % 6 + 1), rng.choice([-1, 1]) * _log(rng, 2e-4, 4e-3))
+        return Crosstalk(strut, int((int(strut[-1]) + rng.integers(1, 6) - 1) % 6 + 1), rng.choice([-1, 1]) * _log(rng, 2e-4, 4e-3), 0.5 * stroke)
     if name is SlippingClutch:
         return SlippingClutch(strut, _log(rng, 2e-5, 3e-4) / (100 * stroke))
     if name is Drag:

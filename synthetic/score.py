@@ -150,8 +150,8 @@ def _found(table):
 
 def _place(table, effect, other):
     """The place; of two markers exchanged with each other, either of which may be given, the lower."""
-    place = table.text("place")
-    if effect != "marker_swap" or not isinstance(other, int | float) or not other >= 0:
+    place, kind = table.text("place"), BY_NAME.get(effect)
+    if kind is None or not kind.discrete or not isinstance(other, int | float) or not other >= 0:
         return place
     number = place.partition(" ")[2]
     if not (number.isascii() and number.isdigit()):
@@ -170,7 +170,7 @@ def covered(hidden, found):
         if interval is None or roles[name] in ("moment", "choice"):
             continue
         true, low, high = (np.atleast_1d(np.asarray(v, float)) for v in (true, *interval))
-        if len(true) != len(low) or (hidden.effect == "lens_distortion" and not np.any(true)):
+        if len(true) != len(low) or (len(true) > 1 and not np.any(true)):  # another of its vectors says what it is
             continue
         if roles[name] == "phase":
             true = true + 2 * np.pi * np.round(((low + high) / 2 - true) / (2 * np.pi))

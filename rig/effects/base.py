@@ -40,7 +40,9 @@ class Effect:
     action : what an owner can do about it, "{axis}" standing for strut or joint
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
     discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
-    rolls : rows of an image are exposed one after the other; form : "harmonic" or "step" where the model is of that simple form
+    rolls : rows of an image are exposed one after the other
+    form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or "profile"), its "load", or
+    a moment ("step")
     own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would be the first
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """

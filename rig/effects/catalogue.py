@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from rig.effects import ALL
 from rig.effects.base import AXES, Effect
 from rig.effects.parameter import Parameter
@@ -48,7 +50,7 @@ def row(p: Parameter, effect: type[Effect]) -> str:
 
 
 def _range(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:g} to {ends[1]:g}"
+    return "" if np.isinf(ends[0]) else f"{ends[0]:g} to {ends[1]:g}"
 
 
 def _place(kind: str) -> str:

@@ -33,6 +33,7 @@ class Compliance(Effect):
     experiment: ClassVar = "change the payload: at constant load most of the sag hides in the joint geometry"
     action: ClassVar = "Correct the {axis} by its load, or look for a soft mount; calibrate with the load that the machine will carry."
     on_pose: ClassVar = True
+    form: ClassVar = "load"
     once: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:

@@ -29,7 +29,7 @@ class CyclicError(Effect):
                             Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))))
     experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
     action: ClassVar = "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller takes it out."
-    form: ClassVar = "harmonic"
+    form: ClassVar = "sinusoid"
     own_axis: ClassVar = 2
 
     def needs(self, motion: Motion) -> str | None:

@@ -10,22 +10,23 @@ from rig.effects.compliance import distinct
 from rig.effects.covariate import Covariate
 from rig.errors import RigError
 
+NOTHING = 1e-9  # of the greatest load; less is rounding, and pushes to neither side
 SIDES = 8  # exposures that must lie on either side
 
 
 @dataclass(frozen=True, slots=True)
 class JointClearance(Effect):
     """Deviation -gap / 2 * sign(f), f > 0 where the axis pushes. moment : where the weight of an arm's links is not stated, which of their
-    masses and mass moments alone is taken to make f (from 0; see Compliance); -1: what is stated"""
+    masses and mass moments alone is taken to make f (from 0; see Compliance); none by default: what is stated"""
 
     place: str
     gap: float = 0.0
-    moment: float = -1.0
+    moment: float = -np.inf
     name: ClassVar = "joint_clearance"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 1.2e-4), joint=((0, 5e-2), (2e-5, 1e-3))),
-                            Parameter("moment", "", (-1, 1e3), (-1, -1), role="choice"))
+                            Parameter("moment", "", (-np.inf, 1e3), (0, 20), role="choice"))
     experiment: ClassVar = "poses or payloads in which that axis changes from pushing to pulling"
     action: ClassVar = "Preload or exchange that {axis}'s bearings; until then keep its load from changing sign."
     on_pose: ClassVar = True
@@ -40,7 +41,9 @@ class JointClearance(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        return -self.axes(motion.places) * self.gap / 2 * np.sign(self._load(motion))
+        load = self._load(motion)
+        side = np.sign(load) * (np.abs(load) > NOTHING * np.abs(load).max(initial=0.0))
+        return -self.axes(motion.places) * self.gap / 2 * side
 
     def covariate(self, motion: Motion) -> Covariate:
         kind = motion.kind

@@ -28,10 +28,11 @@ class TransmissionError(Effect):
     name: ClassVar = "transmission_error"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
-    parameters: ClassVar = (Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0, joint=((-0.1, 0.1), (5e-5, 1e-3))),
+    parameters: ClassVar = (Parameter("profile", "m", (-1e-3, 1e-3), (5e-6, 5e-5), 0, joint=((-0.1, 0.1), (5e-5, 5e-4))),
                             Parameter("span", "m", (-1e3, 1e3), (0, 10), 0, role="choice", joint=((-1e3, 1e3), (-3, 3))))
     experiment: ClassVar = "the whole stroke of that axis in small steps, from both sides"
     action: ClassVar = "Put the profile into the controller's table of the {axis}'s errors, or exchange its screw, gear or encoder."
+    form: ClassVar = "profile"
     own_axis: ClassVar = 3
     once: ClassVar = True
 
