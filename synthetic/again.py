@@ -1,6 +1,7 @@
 """A diagnosed recording drawn anew: the same commands and exposures, the machine as it was found, with and without what was found."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from synthetic.simulation import Simulation
 KINDS = ("with", "without")
 
 
-def again(folder):
+def again(folder: Path) -> dict[str, Simulation]:
     """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and with none.
 
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded

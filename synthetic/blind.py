@@ -1,20 +1,24 @@
 """Sealed trials: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
 
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rig import design_file, layout, machine, mechanisms
+from rig.design import Camera, Design
 from rig.effects import ALL
-from rig.effects.base import MOTION_STAGES
+from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.drawing import Drawing
 from rig.errors import RigError
-from rig.plan import build
-from rig.recording import Sensors
 from rig.files import write_text
+from rig.observed import Corners
+from rig.plan import Plan, build
+from rig.recording import Sensors
 from synthetic import outlaws, simulation, world
 from vision import lens
 
@@ -45,7 +49,7 @@ class Trial:
     rng: np.random.Generator
 
 
-def schedule(seed, index, kinds=KINDS, catalogue=len(ALL)):
+def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
     """(kind, numbers of its effects in a catalogue of so many, rng) of trial `index` of a season: each comes up as often as the others."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
@@ -58,7 +62,8 @@ def schedule(seed, index, kinds=KINDS, catalogue=len(ALL)):
     return kind, numbers, np.random.default_rng([seed, 3, index])
 
 
-def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
+def draw(seed: int, index: int, frames: int = FRAMES, blindfold: Sequence[str] = (), kinds: Sequence[str] = KINDS,
+         effects: Sequence[str] = ()) -> Trial:
     """Trial `index` of a season. effects : names to which the catalogue is confined, all by default.
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
@@ -73,7 +78,7 @@ def draw(seed, index, frames=FRAMES, blindfold=(), kinds=KINDS, effects=()):
     return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
 
 
-def _drawn(kind, hidden, rng, frames, blindfold):
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, blindfold: Sequence[str]) -> Trial:
     text = _rig(rng)
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
@@ -93,14 +98,14 @@ def _drawn(kind, hidden, rng, frames, blindfold):
     return Trial(kind, replace(done, log=Sensors(done.log.t, kept)), text, _log(rng, *NOISE), disturbance, plan, rng)
 
 
-def _rig(rng):
+def _rig(rng: np.random.Generator) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
     text = layout.layout(_log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=1280, height=1024, cubes=int(rng.integers(3, 6)))
     joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
     return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
 
 
-def _protocol(frames, rng, blindfold):
+def _protocol(frames: int, rng: np.random.Generator, blindfold: Sequence[str]) -> str:
     """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order."""
     parts = ["sobol", "sobol"]
     parts += ["ladder"] * (rng.random() < 0.85 and "reversals" not in blindfold)
@@ -115,7 +120,7 @@ def _protocol(frames, rng, blindfold):
     return ",".join(written[i] for i in rng.permutation(len(written)))
 
 
-def _effect(kind, design, route, rng):
+def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
     """An effect of the catalogue at a random place, its parameters drawn over their usual ranges."""
     place = str(rng.choice(kind.places))
     camera = design.cameras[rng.integers(len(design.cameras))]
@@ -131,7 +136,7 @@ def _effect(kind, design, route, rng):
     return kind.drawn(place, Drawing(design, route.t, motion, _displaced), rng)
 
 
-def _displaced(effect, camera):
+def _displaced(effect: Effect, camera: Camera) -> float:
     """px RMS by which an effect of a camera moves corners all over its image."""
     u, v = np.meshgrid(np.linspace(0.05, 0.95, WARP_POINTS) * camera.width, np.linspace(0.05, 0.95, WARP_POINTS) * camera.height)
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -141,21 +146,21 @@ def _displaced(effect, camera):
     return float(np.sqrt(np.mean(moved**2)))
 
 
-def write_recording(trial, folder):
+def write_recording(trial: Trial, folder: Path) -> None:
     """Write the recording of a trial into a folder."""
     spoil = None
     if trial.disturbance is not None:
-        def spoil(corners):
+        def spoil(corners: Corners) -> Corners:
             return trial.disturbance(corners, trial.simulation.world.stated, trial.noise, trial.rng)
     simulation.write(trial.simulation, folder, trial.text, trial.rng, trial.noise, spoil=spoil)
 
 
-def write_truth(trial, path, **more):
+def write_truth(trial: Trial, path: Path, **more: Any) -> None:
     """Write the truth of a trial, with more besides, into a file."""
     disturbance = trial.disturbance.__name__ if trial.disturbance is not None else None
     world.write_truth(path, trial.simulation.world, trial.simulation.run.T_base_platform, kind=trial.kind, disturbance=disturbance,
                       noise_px=trial.noise, plan=trial.plan, **more)
 
 
-def _log(rng, low, high):
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))

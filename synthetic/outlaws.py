@@ -4,14 +4,18 @@ An outlaw is an effect like any other, only that no diagnosis knows it; `draw` m
 changes nothing but the noise of corners: there, too, nothing may be named.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from rig.effects.base import Effect
+from rig.design import Camera, Design
+from rig.effects.base import Effect, Motion
 from rig.mechanisms import hexapod
+from rig.observed import Corners
 from rig.pose import exp, transform_points
+from vision.targets import MarkerMap
 
 WAVES = 4  # sinusoids of a smooth random course
 
@@ -32,7 +36,7 @@ class CablePull(Effect):
     places: ClassVar = ("rig",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         at = np.array([0.0, self.arm, 0.0])  # where the cable is tied, platform frame
         matrix = motion.T.as_matrix()
         away = np.asarray(self.anchor) - (matrix[:, :3, :3] @ at + matrix[:, :3, 3])
@@ -55,7 +59,7 @@ class BendingStrut(Effect):
     places: ClassVar = ("strut",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         matrix, m = motion.T.as_matrix(), motion.mechanism
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
@@ -75,7 +79,7 @@ class WanderingBase(Effect):
     places: ClassVar = ("rig",)
     on_pose: ClassVar = True
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         moved = transform_points(exp(_course(self.course, motion.t, 6)), motion.mechanism.base_joints)
         matrix, m = motion.T.as_matrix(), motion.mechanism
         tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
@@ -94,7 +98,7 @@ class Crosstalk(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         stroke = motion.stroke[:, [self.other - 1]]
         return self.axes(motion.places) * self.share * stroke * np.abs(stroke) / self.reach
 
@@ -109,7 +113,7 @@ class SlippingClutch(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("strut",)
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         return -self.axes(motion.places) * self.share * motion.path.way
 
 
@@ -123,7 +127,7 @@ class Drag(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("rig",)
 
-    def deviation(self, motion):
+    def deviation(self, motion: Motion) -> np.ndarray:
         speed = motion.path.speed
         return -self.factor * speed * np.abs(speed)
 
@@ -138,7 +142,7 @@ class BreathingLens(Effect):
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
 
-    def focal(self, camera, t, channel):
+    def focal(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         return 1 + _course(self.course, t, 1)[:, 0] * self.at(f"camera {camera.name}")
 
 
@@ -153,7 +157,7 @@ class SwayingTripod(Effect):
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
 
-    def mount(self, camera, t, channel):
+    def mount(self, camera: Camera, t: np.ndarray, channel: Callable[..., np.ndarray]) -> np.ndarray:
         return np.sin(2 * np.pi * self.frequency * t)[:, None] * np.asarray(self.motion) * self.at(f"camera {camera.name}")
 
 
@@ -167,11 +171,11 @@ class UnevenPrint(Effect):
     stage: ClassVar = "targets"
     places: ClassVar = ("markers",)
 
-    def attach(self, markers):
+    def attach(self, markers: MarkerMap) -> MarkerMap:
         return replace(markers, side=markers.side * (1 + np.asarray(self.scales)))
 
 
-def _course(course, t, size):
+def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
     """(n, size) a sum of waves at times t (n,) s; course : size amplitudes, frequency (Hz) and phase of each."""
     out = np.zeros((len(t), size))
     for *amplitude, frequency, phase in np.reshape(course, (-1, size + 2)):
@@ -179,14 +183,14 @@ def _course(course, t, size):
     return out
 
 
-def draw(design, duration, rng):
+def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     """One outlaw of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
     radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean()
     stroke = np.ptp(design.mechanism.strut_range, axis=1).mean()
     strut = f"strut {rng.integers(1, 7)}"
     camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
 
-    def waves(size, scale):
+    def waves(size: int, scale: float) -> tuple[float, ...]:
         rows = [np.r_[scale / np.sqrt(WAVES) * rng.normal(size=size), rng.uniform(1.5, 8) / duration, rng.uniform(0, 6.28)] for _ in range(WAVES)]
         return tuple(np.concatenate(rows).tolist())
 
@@ -217,7 +221,7 @@ def draw(design, duration, rng):
 OUTLAWS = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
 
 
-def air_shimmer(corners, design, noise, rng):
+def air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Every picture is warped a little by the air, smoothly over the image and anew from frame to frame: 1 to 4 times the noise."""
     size = noise * rng.uniform(1, 4)
     uv = corners.uv.copy()
@@ -231,7 +235,7 @@ def air_shimmer(corners, design, noise, rng):
     return replace(corners, uv=uv)
 
 
-def outliers(corners, design, noise, rng):
+def outliers(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Up to one corner in thirty lies somewhere else, by 1 to 30 px."""
     wrong = rng.random(len(corners.uv)) < rng.uniform(0.005, 0.03)
     direction = rng.normal(size=corners.uv.shape)
@@ -239,7 +243,7 @@ def outliers(corners, design, noise, rng):
     return replace(corners, uv=corners.uv + wrong[:, None] * direction * np.exp(rng.uniform(0, np.log(30), (len(wrong), 1))))
 
 
-def uneven_noise(corners, design, noise, rng):
+def uneven_noise(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise grows towards the edges of the image, threefold, and one camera is twice as noisy as the others."""
     radius = np.linalg.norm(corners.uv - np.median(corners.uv, axis=0), axis=1) / 600
     worse = np.where(np.array(corners.camera) == design.cameras[rng.integers(len(design.cameras))].name, 2.0, 1.0)
@@ -247,12 +251,12 @@ def uneven_noise(corners, design, noise, rng):
     return replace(corners, uv=corners.uv + extra[:, None] * rng.normal(size=corners.uv.shape))
 
 
-def heavy_tails(corners, design, noise, rng):
+def heavy_tails(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """Noise has the tails of Student's t with three degrees of freedom."""
     return replace(corners, uv=corners.uv + noise * rng.standard_t(3, size=corners.uv.shape))
 
 
-def shaken_frames(corners, design, noise, rng):
+def shaken_frames(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
     """One frame in fifteen was shaken: all its corners are five times as noisy."""
     shaken = rng.random(corners.frame.max() + 1) < 1 / 15
     return replace(corners, uv=corners.uv + 5 * noise * shaken[corners.frame][:, None] * rng.normal(size=corners.uv.shape))
@@ -261,5 +265,5 @@ def shaken_frames(corners, design, noise, rng):
 DISTURBANCES = (air_shimmer, outliers, uneven_noise, heavy_tails, shaken_frames)
 
 
-def _log(rng, low, high):
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -1,22 +1,30 @@
 """A world under a plan -> a recording folder, with images, corners or an instrument's poses; the truth goes elsewhere."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine
+from rig.design import Design, Instrument, MeasuringLimbs
 from rig.files import write_text
-from rig.plan import logged
+from rig.observed import POSE_COLUMNS
+from rig.plan import Plan, logged
 from rig.pose import exp, transform_points, vector
 from rig.recording import LIMBS, Corners, Sensors
-from rig.observed import POSE_COLUMNS
 from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
-from vision.predict import State, facing, inside, see
-from vision.targets import marker_map
+from vision.predict import Sightings, State, facing, inside, see
+from vision.targets import MarkerMap, marker_map
+
+if TYPE_CHECKING:
+    from synthetic.pictures import Images
 
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
 
@@ -28,13 +36,13 @@ class Simulation:
     world : World; plan : Plan; sensors : Sensors as they truly were; log : Sensors as logged; run : machine.Run at the exposures
     """
 
-    world: object
-    plan: object
+    world: worlds.World
+    plan: Plan
     sensors: Sensors
     log: Sensors
     run: machine.Run
 
-    def at_times(self, t):
+    def at_times(self, t: np.ndarray) -> RigidTransform:
         """T_base_platform : RigidTransform (n,) of the simulated machine at other times t (n,) s, as the cameras log them."""
         order = np.argsort(t, kind="stable")
         run = machine.run(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
@@ -43,7 +51,7 @@ class Simulation:
         return RigidTransform.from_matrix(matrix)
 
 
-def simulate(world, plan, rng):
+def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator) -> Simulation:
     """Simulation of a world under a plan: the weather is drawn, the machine run. Raises what `machine.run` raises."""
     duration = plan.commands.t[-1]
     true, log = worlds.weather(duration, rng, worlds.struts_of(world.true.mechanism))
@@ -55,7 +63,7 @@ def simulate(world, plan, rng):
     return Simulation(world, plan, sensors, log, run)
 
 
-def _with_limbs(log, t, T, limbs, rng):
+def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:
     """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
     legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
     read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=(len(t), 6))
@@ -64,7 +72,7 @@ def _with_limbs(log, t, T, limbs, rng):
     return Sensors(rows, channels | {f"m{i + 1}": np.interp(rows, t, read[:, i]) for i in range(6)})
 
 
-def sight(simulation, steepest=STEEPEST):
+def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
     """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
     world, run = simulation.world, simulation.run
     state = State(world.true.cameras, run.T_base_platform, {})
@@ -79,7 +87,7 @@ def sight(simulation, steepest=STEEPEST):
     return found.take(clear), uv[clear]
 
 
-def _covered(design, T, markers, found):
+def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
     """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden."""
     square = markers.corners[found.marker]
     points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
@@ -92,7 +100,7 @@ def _covered(design, T, markers, found):
     return blocked.reshape(-1, count).any(axis=1)
 
 
-def corners(simulation, noise, rng):
+def corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
     """recording.Corners of a simulation with Gaussian noise (px) on each coordinate."""
     found, uv = sight(simulation)
     names = [camera.name for camera in simulation.world.true.cameras]
@@ -103,7 +111,8 @@ def corners(simulation, noise, rng):
                    np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
 
 
-def write(simulation, out, text, rng, noise=None, images=None, progress=None, spoil=None):
+def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float | None = None, images: Images | None = None,
+          progress: Callable[[int, int], None] | None = None, spoil: Callable[[Corners], Corners] | None = None) -> None:
     """Write a recording folder as its owner would have it.
 
     out : folder; text : the owner's rig.toml; noise : px, to write corners; or images : Images, to render
@@ -135,7 +144,7 @@ def write(simulation, out, text, rng, noise=None, images=None, progress=None, sp
         render(simulation, out, images, int(rng.integers(1 << 62)), progress)
 
 
-def write_measured(path, T_base_platform, instrument, rng):
+def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator) -> None:
     """Write poses.csv as an Instrument sees poses (n,): with its noise, and positions alone where it sees no rotations."""
     sigma = np.repeat([instrument.position_sigma, instrument.rotation_sigma or 0.0], 3)
     rows = vector(T_base_platform * exp(sigma * rng.normal(size=(len(T_base_platform), 6))))
@@ -143,7 +152,7 @@ def write_measured(path, T_base_platform, instrument, rng):
     write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row[: len(columns)])]) for f, row in enumerate(rows)])
 
 
-def truth_corners(simulation):
+def truth_corners(simulation: Simulation) -> list[list]:
     """Rows [frame, camera, marker, corner, u, v] of every marker seen whole, for a truth file."""
     c = corners(simulation, 0.0, np.random.default_rng(0))
     return [[int(f), name, int(m), int(k), round(float(u), 5), round(float(v), 5)]

@@ -1,12 +1,17 @@
 """A secret machine: what its owner believes, and what it really is, drawn at random and kept apart."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig import json_file, mechanisms
-from rig.design import Arm, Design, Hexapod, Planar2
+from rig.design import Arm, Camera, Design, Hexapod, Planar2
+from rig.effects.base import Effect
 from rig.effects.parse import from_dict, placed, to_dict
 from rig.entries import LARGEST_RIG
 from rig.errors import FileError, RigError
@@ -32,7 +37,7 @@ class World:
     effects: tuple = ()
 
 
-def draw(stated, rng, size=1.0, effects=()):
+def draw(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: Iterable[Effect] = ()) -> World:
     """World around a stated design. rng : numpy Generator; size : multiplies every deviation; effects : Effects at work."""
     m = machines.drawn(stated, rng, size)
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
@@ -44,7 +49,7 @@ def draw(stated, rng, size=1.0, effects=()):
     return World(stated, true, tuple(effects))
 
 
-def _camera(camera, rng, size):
+def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
     moved = camera.pose * exp(size * np.r_[MOUNT[0] * rng.normal(size=3), MOUNT[1] * rng.normal(size=3)])
     matrix = camera.matrix.copy()
     matrix[[0, 1], [0, 1]] *= 1 + size * FOCAL * rng.normal()
@@ -73,7 +78,7 @@ def weather(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple
     return Sensors(t, true), Sensors(t, log)
 
 
-def write_truth(path, world, T_base_platform, **more):
+def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: Any) -> None:
     """Write the truth of a recording as JSON: effects with parameters, joints, zeros, cameras, poses as row-major 4 x 4, and more."""
     tree = {"effects": [to_dict(effect) for effect in world.effects], **machines.written(world.true.mechanism),
             "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(),
@@ -84,7 +89,7 @@ def write_truth(path, world, T_base_platform, **more):
     write_text(path, json.dumps(tree) + "\n")
 
 
-def from_truth(path, stated):
+def from_truth(path: Path, stated: Design) -> World:
     """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
     tree, limbs = json_file.load(path, "truth of this rig"), stated.insitu
     mechanism = machines.read(stated.mechanism, tree)

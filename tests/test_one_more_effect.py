@@ -58,9 +58,9 @@ def house(tmp_path_factory):
     (root / "rig" / "effects" / "toy_tide.py").write_text(TOY)
     catalogue = root / "rig" / "effects" / "__init__.py"
     text = catalogue.read_text()
-    line = "from rig.effects.toy_tide import ToyTide\nALL: tuple[type[Effect], ...] = (ToyTide, "
-    assert text.count("ALL: tuple[type[Effect], ...] = (") == 1
-    catalogue.write_text(text.replace("ALL: tuple[type[Effect], ...] = (", line))
+    line = "from rig.effects.toy_tide import ToyTide\nALL: tuple[type[Effect], ...] = (\n    ToyTide,\n"
+    assert text.count("ALL: tuple[type[Effect], ...] = (\n") == 1
+    catalogue.write_text(text.replace("ALL: tuple[type[Effect], ...] = (\n", line))
     return root
 
 

@@ -1,10 +1,17 @@
 """rig simulate RIG.toml --plan .. --out REC, or rig simulate --from DIAGNOSIS --out DIR."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import Progress, add_force
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.design import Sensor
 
 LARGEST_SETTING = 1e6  # of a simulated sensor
 SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, radius of a disc on top of it",
@@ -13,7 +20,7 @@ SENSOR = {"blur": "px, standard deviation of the optics' spot", "defocus": "px, 
           "electrons": "per grey level, for shot noise", "bits": "8 or 12"}
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path, nargs="?")
     parser.add_argument("--from", dest="source", metavar="DIR", type=Path, help="draw a diagnosed recording anew instead: DIR is what rig diagnose "
@@ -37,7 +44,7 @@ def arguments(parser):
         parser.add_argument("--" + name.replace("_", "-"), type=int if name in ("bits", "exposures") else float, help=text)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Simulate a recording and write it, and its truth apart."""
     from rig import design_file
     from rig.effects.parse import parse, placed
@@ -90,7 +97,7 @@ def run(arguments):
     print(f"{len(plan.t)} frames over {plan.commands.t[-1] / 60:.1f} min, effects: {names}; written: {where}")
 
 
-def _places(arguments):
+def _places(arguments: Namespace) -> None:
     """Protect what is read without being named as a path, and have the recording's manifest say nothing of its truth."""
     outputs = arguments.outputs
     if (arguments.design.parent / "frames.csv").exists():
@@ -99,7 +106,7 @@ def _places(arguments):
     outputs.arguments = (str(arguments.design), "--plan", arguments.plan)
 
 
-def _again(arguments):
+def _again(arguments: Namespace) -> None:
     """Draw a diagnosed recording anew, with and without what was found."""
     if arguments.design is not None or arguments.machine or arguments.effect:
         raise RigError("--from brings its own rig, machine and effects; leave out RIG.toml, --machine and --effect")
@@ -130,7 +137,7 @@ def _again(arguments):
     print(f"{len(done['with'].plan.t)} frames, effects: {names}; written: {arguments.out / 'with'} and {arguments.out / 'without'}")
 
 
-def _check(arguments, sensor):
+def _check(arguments: Namespace, sensor: Sensor) -> None:
     for name, most, unit in (("noise", 1000, "px"), ("secret", 1000, ""), ("seed", (1 << 63) - 1, "")):
         value = getattr(arguments, name)
         if not 0 <= value <= most:  # true for what is not a number, too

@@ -32,8 +32,10 @@ from rig.effects.transmission_error import TransmissionError
 from rig.effects.vibration import Vibration
 from rig.effects.warm_up import WarmUp
 
-ALL: tuple[type[Effect], ...] = (ScaleError, CyclicError, TransmissionError, Backlash, Hysteresis, MissedSteps, ServoLag, Creep, ThermalExpansion, WarmUp,
-       ScrewCoupling, Compliance, JointClearance, BaseExpansion, Vibration, TimeOffset, ClockDrift, LensDistortion, FocalDrift,
-       CameraDrift, CameraBump, RollingShutter, Refraction, EdgeBias, PrintScale, FaceMisplacement, CubeMisplacement, MarkerSwap, AxisCoupling,
-       SettlingError)
+ALL: tuple[type[Effect], ...] = (
+    ScaleError, CyclicError, TransmissionError, Backlash, Hysteresis, MissedSteps, ServoLag, Creep, ThermalExpansion, WarmUp,
+    ScrewCoupling, Compliance, JointClearance, BaseExpansion, Vibration, TimeOffset, ClockDrift, LensDistortion, FocalDrift, CameraDrift,
+    CameraBump, RollingShutter, Refraction, EdgeBias, PrintScale, FaceMisplacement, CubeMisplacement, MarkerSwap, AxisCoupling,
+    SettlingError,
+)
 BY_NAME: dict[str, type[Effect]] = {effect.name: effect for effect in ALL}

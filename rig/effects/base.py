@@ -283,5 +283,5 @@ def check(effect: Effect) -> Effect:
     return effect
 
 
-__all__ = ["AXES", "COUNT", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear", "Motion", "Parameter", "Path",
-           "check"]
+__all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",
+           "Motion", "Parameter", "Path", "check"]

@@ -20,7 +20,8 @@ class CameraBump(Effect):
     name: ClassVar = "camera_bump"
     stage: ClassVar = "view"
     places: ClassVar = ("camera",)
-    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6), Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
+    parameters: ClassVar = (Parameter("motion", "m, rad", (-0.1, 0.1), (1e-5, 1e-3), 6),
+                            Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
     sudden: ClassVar = True
     experiment: ClassVar = "fixed cubes in view of that camera before and after"
     action: ClassVar = "Clamp the mount; poses from before and after that moment need a camera pose of their own."

@@ -121,7 +121,7 @@ class Motion:
         return self.kept[key]
 
     def turn(self) -> float:
-        """m or rad of travel for one turn of what drives an axis: the screw's lead, or a joint's own turn. Raises RigError where no lead is stated."""
+        """m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn. Raises RigError where no lead is stated."""
         reason = self.no_turn()
         if reason:
             raise RigError(f"the model {reason}")

@@ -18,7 +18,7 @@ STARTS = 40  # random configurations tried where the guess leads nowhere
 REACH = 1.0  # m; a radian counts like so much
 
 
-def frames(q, arm):
+def frames(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., n + 2, 4, 4) homogeneous frames in the frame of poses: the arm's frames 0..n, then the platform.
 
     q : (..., n) rad. Frame i - 1 carries axis i (its z). Raises ValueError for another number of joints or angles not finite
@@ -35,7 +35,7 @@ def frames(q, arm):
     return out
 
 
-def link(q, row):
+def link(q: np.ndarray, row: np.ndarray) -> np.ndarray:
     """(..., 4, 4) transforms A of links: q (...,) rad, row = theta, d, a, alpha, beta, figures or arrays that broadcast with q."""
     theta, d, a, alpha, beta = row
     ct, st = np.cos(q + theta), np.sin(q + theta)
@@ -48,12 +48,12 @@ def link(q, row):
     return A
 
 
-def forward(q, arm, guess=None):
+def forward(q: np.ndarray, arm: Arm, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform : RigidTransform (...) of joint angles q (..., n) rad. guess : unused. Raises ValueError as `frames`."""
     return RigidTransform.from_matrix(frames(q, arm)[..., -1, :, :])
 
 
-def jacobian(q, arm, axes="platform"):
+def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
     """(..., 6, n) geometric Jacobian: velocity of the platform's origin (m/rad) over its turning rate (rad/rad), per joint.
 
     q : (..., n) rad; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
@@ -64,7 +64,7 @@ def jacobian(q, arm, axes="platform"):
     return geometric(frames(q, arm), axes)
 
 
-def geometric(matrices, axes="platform"):
+def geometric(matrices: np.ndarray, axes: str = "platform") -> np.ndarray:
     """(..., 6, n) Jacobian of frames (..., n + 2, 4, 4) as `frames` gives them."""
     z, o = matrices[..., :-2, :3, 2], matrices[..., :-2, :3, 3]
     J = np.concatenate([np.cross(z, matrices[..., -1:, :3, 3] - o), z], axis=-1)
@@ -74,7 +74,7 @@ def geometric(matrices, axes="platform"):
     return np.swapaxes(J, -1, -2)
 
 
-def limits(q, arm):
+def limits(q: np.ndarray, arm: Arm) -> np.ndarray:
     """How far joint angles (..., n) lie outside the limits: (..., n) rad, negative below, positive above, 0 inside."""
     low, high = arm.limits.T
     return np.minimum(q - low, 0) + np.maximum(q - high, 0)
@@ -124,7 +124,7 @@ def ends(T: RigidTransform, arm: Arm) -> None:
     return None
 
 
-def inverse(T_base_platform, arm, guess=None):
+def inverse(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None) -> np.ndarray:
     """Joint angles (..., n) rad of a pose, within the limits where such are found, near the guess where that leads there.
 
     T_base_platform : RigidTransform (...); guess : (n,) or (..., n) rad, the middle of the limits by default
@@ -138,7 +138,8 @@ def inverse(T_base_platform, arm, guess=None):
     return q
 
 
-def solve(T_base_platform, arm, guess=None, starts=STARTS, seed=0):
+def solve(T_base_platform: RigidTransform, arm: Arm, guess: np.ndarray | None = None, starts: int = STARTS,
+          seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """(q (..., n) rad, left (...) m or rad): damped least squares from the guess, then from random starts.
 
     left : greater of the position's (m) and rotation's (rad) remaining error; above GOOD means no solution was found
@@ -168,7 +169,7 @@ def solve(T_base_platform, arm, guess=None, starts=STARTS, seed=0):
     return best.reshape(*shape, n), left.reshape(shape)
 
 
-def wrapped(q, arm, near):
+def wrapped(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
     """Angles (..., n) shifted by whole turns to the nearest of near (..., n) that the limits allow."""
     low, high = arm.limits.T
     turn = 2 * np.pi
@@ -178,7 +179,7 @@ def wrapped(q, arm, near):
     return np.where(q > high, q - turn * np.round((q - near) / turn), q)
 
 
-def _descend(q, target, arm):
+def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     """(q, error): Levenberg-Marquardt on the pose error of a flat batch, damped by the error's own size."""
     q = q.copy()
     error = np.full(len(q), np.inf)
@@ -202,7 +203,7 @@ def _descend(q, target, arm):
     return q, error
 
 
-def _twist(now, target):
+def _twist(now: np.ndarray, target: np.ndarray) -> np.ndarray:
     """(m, 6) tangent on the right, translation first, that leads from now to target (m, 4, 4), parts taken separately."""
     R = np.swapaxes(now[:, :3, :3], 1, 2)
     move = (R @ (target[:, :3, 3:] - now[:, :3, 3:]))[..., 0]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 
 
@@ -19,14 +20,14 @@ class Links:
     centre: np.ndarray
     inertia: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         n = len(self.mass)
         if np.shape(self.centre) != (n, 3) or np.shape(self.inertia) != (n, 3, 3) or (np.asarray(self.mass) < 0).any():
             raise ValueError(f"expected masses (n,) >= 0, centres ({n}, 3) and inertias ({n}, 3, 3), got {np.shape(self.centre)}, "
                              f"{np.shape(self.inertia)}")
 
 
-def torques(q, speed, acceleration, arm, links, gravity):
+def torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray) -> np.ndarray:
     """(..., n) Nm that the joints bear for weight and motion alone: nothing touches the hand.
 
     q : (..., n) rad; speed, acceleration : (..., n) rad/s, rad/s^2; gravity : (3,) m/s^2 in the axes of poses

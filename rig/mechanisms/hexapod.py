@@ -14,7 +14,7 @@ MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly
 CHUNK = 4096  # poses at a time, so that the work stays in the cache
 
 
-def inverse(T_base_platform, hexapod):
+def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """Commanded strut lengths of a pose: joint centre to joint centre, less the strut's zero.
 
     T_base_platform : RigidTransform (...); hexapod : Hexapod
@@ -26,7 +26,7 @@ def inverse(T_base_platform, hexapod):
     return np.linalg.norm(struts, axis=-1) - hexapod.strut_zeros
 
 
-def jacobian(T_base_platform, hexapod):
+def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """Change of the strut lengths with the pose's tangent on the right.
 
     T_base_platform : RigidTransform (...)
@@ -37,7 +37,7 @@ def jacobian(T_base_platform, hexapod):
     return _rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1]
 
 
-def forward(lengths, hexapod, guess=None):
+def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None = None) -> RigidTransform:
     """Platform pose that gives these commanded strut lengths: Newton on SE(3), the whole batch at once.
 
     lengths : (..., 6) m, as commanded (the strut zeros are added here)
@@ -62,7 +62,7 @@ def forward(lengths, hexapod, guess=None):
     return RigidTransform.from_matrix(matrix)
 
 
-def limits(lengths, hexapod):
+def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
     """How far commanded lengths (..., 6) lie outside the strut range: (..., 6) m, negative below, positive above, 0 inside."""
     low, high = hexapod.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)
@@ -101,7 +101,7 @@ def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
 
 
-def _rows(R, t, hexapod):
+def _rows(R: np.ndarray, t: np.ndarray, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
     """Strut lengths (..., 6) and their Jacobian (..., 6, 6) at rotation R (..., 3, 3) and position t (..., 3)."""
     struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + t[..., None, :] - hexapod.base_joints
     length = np.sqrt(np.einsum("...ij,...ij->...i", struts, struts))
@@ -115,7 +115,7 @@ def _rows(R, t, hexapod):
     return length, J
 
 
-def _newton(matrix, lengths, hexapod):
+def _newton(matrix: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
     """Move matrix (n, 4, 4) in place until its strut lengths are those wanted (n, 6); returns the residual (n,) m."""
     residual = np.full(len(matrix), np.inf)
     open_ = np.arange(len(matrix))
@@ -142,12 +142,12 @@ def _newton(matrix, lengths, hexapod):
     return residual
 
 
-def _rotation(rotvec):
+def _rotation(rotvec: np.ndarray) -> np.ndarray:
     """(n, 3, 3) rotation matrices of rotation vectors (n, 3) rad."""
     return Rotation.from_rotvec(rotvec).as_matrix()
 
 
-def _check(matrix, start, residual, lengths, hexapod):
+def _check(matrix: np.ndarray, start: np.ndarray, residual: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> None:
     failed = np.flatnonzero(residual > 10 * TOLERANCE)
     if len(failed):
         worst = failed[np.argmax(residual[failed])]

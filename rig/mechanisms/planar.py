@@ -9,13 +9,13 @@ from rig.errors import NotConverged
 AXIS, UNIT, LOAD = "strut", "m", "N"
 
 
-def inverse(T_base_platform, planar):
+def inverse(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
     """Commanded strut lengths (..., 2) m of a pose : RigidTransform (...); only its x and y are looked at."""
     position = T_base_platform.translation[..., None, :2]
     return np.linalg.norm(position - planar.base_joints, axis=-1) - planar.strut_zeros
 
 
-def jacobian(T_base_platform, planar):
+def jacobian(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
     """(..., 2, 6) change of the strut lengths with the pose's tangent on the right, platform frame."""
     matrix = T_base_platform.as_matrix()
     struts = matrix[..., None, :2, 3] - planar.base_joints
@@ -26,7 +26,7 @@ def jacobian(T_base_platform, planar):
     return J
 
 
-def forward(lengths, planar, guess=None):
+def forward(lengths: np.ndarray, planar: Planar2, guess: RigidTransform | None = None) -> RigidTransform:
     """Hinge position, as an unrotated RigidTransform (...), of commanded lengths (..., 2) m: the crossing of two circles.
 
     guess : unused; the hinge is on the left of the line from base joint 1 to base joint 2
@@ -49,7 +49,7 @@ def forward(lengths, planar, guess=None):
     return RigidTransform.from_translation(position)
 
 
-def limits(lengths, planar):
+def limits(lengths: np.ndarray, planar: Planar2) -> np.ndarray:
     """How far commanded lengths (..., 2) lie outside the strut range: (..., 2) m, negative below, positive above, 0 inside."""
     low, high = planar.strut_range.T
     return np.minimum(lengths - low, 0) + np.maximum(lengths - high, 0)

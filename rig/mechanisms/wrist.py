@@ -51,7 +51,7 @@ class Branches:
     reason: np.ndarray
     gap: np.ndarray
 
-    def why(self, index):
+    def why(self, index: int) -> str:
         """A line on pose `index` (of the flat batch): which singularities it touches, or why it cannot be reached."""
         reason = int(self.reason.ravel()[index])
         if reason:
@@ -61,7 +61,7 @@ class Branches:
         return f"singular: {', '.join(names)}" if names else "regular"
 
 
-def six(arm):
+def six(arm: Arm) -> SixR:
     """SixR of an Arm. Raises RigError, with what misses by how much, for one that has no closed form here."""
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
@@ -82,8 +82,8 @@ def six(arm):
     return SixR(arm, kind, o, u, key, np.array([a, a + [0, 0, 1], a + [0, 1, 0]]), frame)
 
 
-def _kind(o, u):
-    def skewed(i, j):
+def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
+    def skewed(i: int, j: int) -> float:
         return np.linalg.norm(np.cross(u[i], u[j]))
 
     key = _nearest(o[5], u[5], o[4], u[4])
@@ -96,14 +96,14 @@ def _kind(o, u):
                    f"crossing of 5 and 6 by {meets[0]:.3g} m, and these each other by {meets[1]:.3g} m; take rig.mechanisms.arm.inverse")
 
 
-def _nearest(o, u, p, v):
+def _nearest(o: np.ndarray, u: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The point of line (o, u) nearest to line (p, v); o itself where they are parallel."""
     n = np.cross(u, v)
     square = n @ n
     return o + u * (np.cross(p - o, v) @ n / square) if square > EXACT**2 else o
 
 
-def _hand(matrix, six):
+def _hand(matrix: np.ndarray, six: SixR) -> np.ndarray:
     """(..., 3, 3) m, A, B, C of the hand at poses (..., 4, 4), in the global frame."""
     start = mechanism.frames(np.zeros(6), six.arm)[-1]
     F = six.frame.as_matrix()
@@ -112,7 +112,7 @@ def _hand(matrix, six):
     return np.stack([a, a + R[..., 2], a + R[..., 1]], axis=-2)
 
 
-def forward(q, six):
+def forward(q: np.ndarray, six: SixR) -> RigidTransform:
     """T_base_platform : RigidTransform (...) of joint angles q (..., 6) rad, by turning A, B, C from the last joint to the first."""
     q = np.asarray(q, float)
     abc = regression.forward(np.ascontiguousarray(q.reshape(-1, 6)), six.points, six.axes, six.hand)
@@ -126,7 +126,7 @@ def forward(q, six):
     return RigidTransform.from_matrix(out.reshape(*q.shape[:-1], 4, 4))
 
 
-def inverse(T_base_platform, six, near=None):
+def inverse(T_base_platform: RigidTransform, six: SixR, near: np.ndarray | None = None) -> Branches:
     """Branches of poses T_base_platform (...): every joint solution, singular and unreachable cases named.
 
     near : (6,) rad, zero by default: what a joint takes that a singular pose leaves free
@@ -141,7 +141,7 @@ def inverse(T_base_platform, six, near=None):
                     gap.reshape(shape))
 
 
-def nearest(T_base_platform, six, guess):
+def nearest(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np.ndarray:
     """(..., 6) rad, of all branches and whole turns the solution within the limits that is nearest to guess (..., 6) or (6,) rad.
 
     Raises Unreachable with the index of poses out of reach, or whose solutions all leave the limits
