@@ -4,6 +4,7 @@ A plan is written as parts joined by commas, each NAME or NAME:COUNT: sobol:100,
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.origin import Origin
 from rig.outside import shown
-from rig.recording import Commands
+from rig.recording import Commands, Sensors
 
 DWELL = 2.0  # s at a configuration before its exposure
 AFTER = 1.0  # s at it after the exposure
@@ -43,21 +44,21 @@ class Plan:
 class _Writer:
     """A plan being written: where the struts are, when, and what has been exposed."""
 
-    def __init__(self, start, speed, below=0.0):
+    def __init__(self, start: np.ndarray, speed: float, below: float | np.ndarray = 0.0) -> None:
         self.t, self.values, self.exposures, self.payload = [0.0, 1.0], [start, start], [], [(0.0, 0.0)]
         self.speed, self.below = speed, below
 
-    def go(self, goal):
+    def go(self, goal: np.ndarray) -> None:
         travel = np.abs(goal - self.values[-1]).max() / self.speed
         if travel > 0:
             self.t.append(self.t[-1] + max(travel, STEP))
             self.values.append(goal)
 
-    def dwell(self, seconds):
+    def dwell(self, seconds: float) -> None:
         self.t.append(self.t[-1] + seconds)
         self.values.append(self.values[-1])
 
-    def settle(self, goal):
+    def settle(self, goal: np.ndarray) -> None:
         """Go there, from below where that is asked for, dwell, expose once settled."""
         if np.any(self.below):
             self.go(goal - self.below)
@@ -65,12 +66,12 @@ class _Writer:
         self.dwell(DWELL + AFTER)
         self.exposures.append(self.t[-1] - AFTER)
 
-    def plan(self):
+    def plan(self) -> Plan:
         order = np.argsort(self.exposures)
         return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.array(self.payload))
 
 
-def settled(configurations, start, speed):
+def settled(configurations: np.ndarray, start: np.ndarray, speed: float) -> Plan:
     """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled. speed : m/s."""
     writer = _Writer(np.asarray(start, float), speed)
     for goal in configurations:
@@ -78,7 +79,7 @@ def settled(configurations, start, speed):
     return writer.plan()
 
 
-def build(design, text, seed=0, one_sided=False):
+def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> Plan:
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts.
 
@@ -104,7 +105,7 @@ def build(design, text, seed=0, one_sided=False):
     return writer.plan()
 
 
-def _refuse_endless(name, count, axes, before, text):
+def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:
     """Raise RigError for a part that would make a plan of more than MOST exposures."""
     each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "ladder": 4.0 * axes * count,
             "payload": 3.0 * count}.get(name, count)
@@ -112,15 +113,15 @@ def _refuse_endless(name, count, axes, before, text):
         raise RigError(f"plan {shown(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
 
 
-def _visit(configurations):
-    def part(writer, design, count, rng):
+def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[_Writer, Design, int, np.random.Generator], None]:
+    def part(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
         for goal in configurations(design, count, rng):
             writer.settle(goal)
 
     return part
 
 
-def _ladder(writer, design, steps, rng):
+def _ladder(writer: _Writer, design: Design, steps: int, rng: np.random.Generator) -> None:
     """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
     strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
@@ -133,7 +134,7 @@ def _ladder(writer, design, steps, rng):
                 writer.settle(goal)
 
 
-def _payload(writer, design, count, rng):
+def _payload(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """The same configurations without and with a load of 0.6 of the platform's mass."""
     goals = low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30)))
     for mass in (0.0, 0.6 * (design.platform.mass or 1.0), 0.0):
@@ -144,7 +145,7 @@ def _payload(writer, design, count, rng):
             writer.settle(goal)
 
 
-def _moving(writer, design, count, rng):
+def _moving(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
     strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
@@ -153,7 +154,7 @@ def _moving(writer, design, count, rng):
     rates *= np.minimum(1, 2 * writer.speed / (half * rates.sum(axis=0)).max())
     phases = rng.uniform(0, 2 * np.pi, (2, len(strokes)))
 
-    def at(t):
+    def at(t: float) -> np.ndarray:
         return middle + half / 2 * (np.sin(rates * t + phases) * 2).sum(axis=0) / 2
 
     writer.go(at(0.0))
@@ -165,7 +166,7 @@ def _moving(writer, design, count, rng):
     writer.exposures += [start + 1.0 + k * EXPOSE_EVERY for k in range(count or 60)]
 
 
-def _zigzag(writer, design, count, rng):
+def _zigzag(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
     strokes = strokes_of(design)
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
@@ -177,7 +178,7 @@ def _zigzag(writer, design, count, rng):
     writer.exposures += [start + k * EXPOSE_EVERY + TURNED[(k - 1) // 2 % len(TURNED)] for k in turns[:-1]]
 
 
-def _warmup(writer, design, count, rng):
+def _warmup(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = low_discrepancy(strokes_of(design), 11, seed=int(rng.integers(1 << 30)))
     for k in range(count or 48):
@@ -185,7 +186,7 @@ def _warmup(writer, design, count, rng):
         writer.dwell(4 * 3600 / (count or 48))
 
 
-def _repeat(writer, design, count, rng):
+def _repeat(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Three configurations approached again and again from everywhere: what repeatability is."""
     strokes = strokes_of(design)
     goals = low_discrepancy(strokes, 3, seed=1)
@@ -194,7 +195,7 @@ def _repeat(writer, design, count, rng):
         writer.settle(goals[k % 3])
 
 
-def _commands(writer, design, file, rng):
+def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
     values = rows.matrix(design.mechanism.axes)
     if len(rows) > MOST:
@@ -227,7 +228,7 @@ def speed_of(design: Design) -> float:
     return SPEED * top if top else UNSTATED_SPEED[unit]
 
 
-def logged(plan, sensors):
+def logged(plan: Plan, sensors: Sensors) -> Sensors:
     """Sensors with the plan's payload as a channel, a row at each step so that it stays one."""
     if not (plan.payload[:, 1] > 0).any():
         return replace(sensors, channels={**sensors.channels, "payload_mass_kg": np.zeros(len(sensors.t))})

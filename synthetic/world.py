@@ -13,7 +13,7 @@ from rig import json_file, mechanisms
 from rig.design import Arm, Camera, Design, Hexapod, Planar2
 from rig.effects.base import Effect
 from rig.effects.parse import from_dict, placed, to_dict
-from rig.entries import LARGEST_RIG
+from rig.entries import LARGEST_RIG, Entries
 from rig.errors import FileError, RigError
 from rig.pose import exp, pose, vector
 from rig.recording import Sensors
@@ -105,7 +105,7 @@ def from_truth(path: Path, stated: Design) -> World:
     return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), effects_in(tree, "effects", stated))
 
 
-def effects_in(tree, key, design):
+def effects_in(tree: Entries, key: str, design: Design) -> tuple[Effect, ...]:
     """Effects that a JSON table lists, as `to_dict` wrote them. Raises FileError for one that there is not, or not on this rig."""
     found = []
     for number, entry in enumerate(tree.tables(key), 1):
@@ -118,7 +118,7 @@ def effects_in(tree, key, design):
     return tuple(found)
 
 
-def _seen_as(camera, table):
+def _seen_as(camera: Camera, table: Entries) -> Camera:
     """A Camera as a truth file has it."""
     matrix, terms, vector_ = table.array("matrix", (3, 3)), table.array("distortion", (len(camera.distortion),)), table.array("pose", (6,))
     if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
