@@ -1,6 +1,5 @@
 """What a run works with, from a rig.toml: cameras opened and exposed well, sensors, how images are put on disk, how a move goes in time."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from rig.clock import Clock
 from rig.design import Camera, Design
 from rig.driver import Driver
 from rig.errors import RigError
+from rig.files import write_bytes
 from rig.operate import Bench
 from rig.sensing import Sensing
 from rig.way import Way, trapezoid
@@ -63,18 +63,13 @@ def way_of(design: Design) -> Callable[[np.ndarray, np.ndarray, float, float], W
 
 
 def save_image(path: Path, image: np.ndarray) -> None:
-    """Put an image on disk, whole, before this returns. Raises RigError where the disk takes no more."""
+    """Put an image on disk, whole, before this returns. Raises FileError where the disk takes no more."""
     data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, COMPRESSION])[1]
-    part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(part, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
     except OSError as error:
-        raise RigError(f"{path} cannot be written: {error.strerror}") from None
+        raise RigError(f"{path.parent} cannot be made: {error.strerror}") from None
+    write_bytes(path, data.tobytes())
 
 
 def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> list[str]:

@@ -46,6 +46,8 @@ def run(arguments):
         raise RigError(f"--above must be at least 0, not {arguments.above:g}")
     if not arguments.speed > 0:
         raise RigError(f"--speed must be positive rad/s, not {arguments.speed:g}")
+    arguments.outputs.inputs.append(Path(arguments.arm))
+    out = arguments.outputs.file(arguments.out) if arguments.out else None
     now = np.array(_numbers(arguments.start, n, "--from")) if arguments.start else None
     arrived = now is not None and np.abs(difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and arguments.motion == "end":
@@ -65,8 +67,8 @@ def run(arguments):
         if not len(enough):
             raise RigError(f"no posture found whose measure exceeds {arguments.above:g}; the best reaches {found[name].value.max():.6g}")
         k = int(enough[np.abs(found[name].q[enough] - first).max(axis=1).argmin()])  # the least motion will do
-    if arguments.out:
-        _write(arguments, arm, now if now is not None else first, starts[k], found[name].q[k])
+    if out:
+        _write(out, arguments, arm, now if now is not None else first, starts[k], found[name].q[k])
     tree = _tree(arm, wish, first, starts, found, name, k)
     print(json.dumps(tree, indent=1) if arguments.json else _table(tree, arguments))
 
@@ -124,11 +126,10 @@ def _starts(first, wanted, arm):
     return np.vstack([first, q[inside]])
 
 
-def _write(arguments, arm, now, start, goal):
+def _write(out, arguments, arm, now, start, goal):
     from rig import writing
     from rig.posture import motion
 
-    out = arguments.outputs.file(arguments.out)
     rows = motion.on_the_way(now, goal, arm) if arguments.motion == "way" else motion.at_the_end(start, goal, arm)
     t = motion.timed(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]

@@ -8,6 +8,7 @@ from pathlib import Path
 from rig.commands.driving import add_driving, design_of, driving, lengths_text, settled_status
 from rig.commands.output import SEED
 from rig.errors import RigError
+from rig.files import write_bytes
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -146,7 +147,7 @@ def _run(arguments, design, planned, settle, options):
         for line in set_exposures(shutter, design, exposure) if exposure != "keep" else ():
             print(line)
         if fresh:
-            (arguments.out / "rig.toml").write_bytes(arguments.design.read_bytes())
+            write_bytes(arguments.out / "rig.toml", arguments.design.read_bytes())
             journal.append(Began(0.0, clock.now(), len(planned), _hash(planned), tuple(map(float, status.lengths))))
         origin = _origin(journal, clock)
         looking = looking_of(arguments, design, planned, status.lengths, clock, stop_on, driver.stop)

@@ -62,7 +62,7 @@ class Outputs:
         for given in self.inputs:
             real = Path(os.path.realpath(given))
             if staged.place in real.parents and str(real.relative_to(staged.place)) in staged.known.files:
-                raise RigError(f"--out {path} holds {given}, which this command reads; it stays as it was, name another folder")
+                raise RigError(f"{path} holds {given}, which this command reads; it stays as it was, name another folder")
         staged.whole = True
         staged.mark(self._origin(False))
         return staged.folder
@@ -79,14 +79,14 @@ class Outputs:
                 raise FileError(path, "cannot be written: Permission denied")
             return path
         if path.is_dir():
-            raise RigError(f"{path} is a folder; --out names a file")
+            raise RigError(f"{path} is a folder; name a file to write")
         if not own:
             self._no_input(path, "what this command reads")
         place = Path(os.path.realpath(path))
         if not place.parent.is_dir() and place.parent not in self._staged:
             raise RigError(f"{path.parent} is no folder; make it first")
         if place.name in RECORDED and any(place.parent == Path(os.path.realpath(given)) for given in self.inputs):
-            raise RigError(f"--out {path} is a file of the recording, which stays as it was; name another")
+            raise RigError(f"{path} is a file of the recording, which stays as it was; name another")
         staged = self._beside(place.parent, path)
         if place.exists() and not self.force and not own and not staged.known.untouched(place.parent, place.name, self.command):
             made = staged.known.files.get(place.name)
@@ -139,7 +139,7 @@ class Outputs:
         for given in self.inputs:
             other = status(given)
             if os.path.realpath(path) == os.path.realpath(given) or (there and other and os.path.samestat(there, other)):
-                raise RigError(f"--out is {what}; it stays as it was, name another place than {path}")
+                raise RigError(f"{path} is {what}; it stays as it was, name another place to write to")
 
     def _own(self, path: Path, going_on: bool = False) -> None:
         """Raise RigError where a folder holds what this command did not make or somebody changed since."""
