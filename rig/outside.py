@@ -3,6 +3,7 @@
 import os
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from rig.errors import FileError
 
@@ -12,10 +13,10 @@ KINDS = ((stat.S_ISDIR, "is a folder, not a file"), (stat.S_ISFIFO, "is a pipe, 
          (stat.S_ISBLK, "is a device, not a file"), (stat.S_ISSOCK, "is a socket, not a file"))
 
 
-def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -> bytes:
-    """All of a file. most : bytes; missing : what to say where there is none.
+def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
+    """A regular file, opened to be read; anything else is never waited for. missing : what to say where there is none.
 
-    Raises FileError where it is missing, no regular file (which is never waited for), larger than `most` or cannot be read
+    Raises FileError where it is missing, no regular file or cannot be opened
     """
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -23,12 +24,19 @@ def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -
         raise FileError(path, missing) from None
     except (OSError, ValueError) as error:  # ValueError: a name with a NUL in it
         raise FileError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    with open(handle, "rb") as file:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):
-            raise FileError(path, next((text for kind, text in KINDS if kind(found.st_mode)), "is no regular file"))
-        if found.st_size > most:
-            raise FileError(path, f"has {found.st_size} bytes, more than the {most} that such a file may have")
+    mode = os.fstat(handle).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(handle)
+        raise FileError(path, next((text for kind, text in KINDS if kind(mode)), "is no regular file"))
+    return os.fdopen(handle, "rb")
+
+
+def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -> bytes:
+    """All of a file. most : bytes. Raises FileError as `open_file` does, for a file larger than `most` and for one that cannot be read."""
+    with open_file(path, missing) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise FileError(path, f"has {size} bytes, more than the {most} that such a file may have")
         try:
             return file.read(most)
         except OSError as error:

@@ -8,14 +8,14 @@ import numpy as np
 from rig import design_file, table
 from rig.origin import Origin, decimal
 from rig.design import Design
+from rig.entries import name_problem
 from rig.errors import FileError, RigError
+from rig.exposures import Exposures, Unreadable, load_exposures
 from rig.files import complete
-from rig.images import check_image
 from rig.observed import Corners, Poses, load_corners, load_poses
 
 LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m, read only where there are rows about an exposure
 LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
-SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,21 +31,6 @@ class Commands:
         if (t < self.t[0]).any():
             raise RigError(f"t = {t.min():g} s is before the first command (t = {self.t[0]:g} s)")
         return np.stack([np.interp(t, self.t, column) for column in self.values.T], axis=-1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Exposures:
-    """One row per exposure. frame : (n,) int; t : (n,) s; camera, image : n names ("" where there is none)."""
-
-    frame: np.ndarray
-    t: np.ndarray
-    camera: list[str]
-    image: list[str]
-
-    def times(self):
-        """(frames, t) : the distinct frames in order and their times (s)."""
-        frames, first = np.unique(self.frame, return_index=True)
-        return frames, self.t[first]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +52,8 @@ class Sensors:
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
-    or where nothing was commanded its first exposure; origin : of the owner's clock, to write them."""
+    or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
+    skipped : images that cannot be used and were left out, as asked"""
 
     folder: Path
     design: Design
@@ -77,6 +63,7 @@ class Recording:
     corners: Corners | None
     poses: Poses | None
     origin: Origin = Origin()
+    skipped: tuple[Unreadable, ...] = ()
 
     @property
     def has_images(self):
@@ -91,8 +78,11 @@ class Recording:
         return frames, t, self.commands.at(t)
 
 
-def load(folder):
-    """Recording of a folder. Raises FileError naming file, line and column of the first thing that cannot be used."""
+def load(folder, skip_unreadable=False):
+    """Recording of a folder. skip_unreadable : whether images that cannot be used are left out, into `skipped`.
+
+    Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise FileError(folder, "is a file, not a recording folder" if folder.exists() else "no such folder")
@@ -103,14 +93,14 @@ def load(folder):
     commanded = _command_rows(folder / "commands.csv", design)
     exposed = table.read(folder / "frames.csv", ("frame", "t", "camera", "image"))
     origin = _origin(exposed if commanded is None else commanded)
-    exposures = _exposures(folder, design, exposed, origin)
+    exposures, skipped = load_exposures(folder, design, exposed, origin, skip_unreadable)
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
     poses = load_poses(folder / "poses.csv", known, alone) if (folder / "poses.csv").exists() else None
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
-    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin)
+    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped))
 
 
 def _origin(rows):
@@ -151,43 +141,14 @@ def _increasing(rows, origin):
     return t
 
 
-def _exposures(folder, design, rows, origin):
-    path, shown = rows.path, rows.text("t")
-    frame, t, camera, image = rows.whole("frame"), rows.times("t", origin), rows.text("camera"), rows.text("image")
-    cameras = {c.name: c for c in design.cameras}
-    seen, start = {}, {}
-    last = (-1, -np.inf, "")
-    for i in range(len(rows)):
-        if camera[i] and camera[i] not in cameras:
-            rows.fail(f"unknown camera {camera[i]!r}; rig.toml has {', '.join(map(repr, cameras)) or 'none'}", i, "camera", camera[i])
-        if image[i] and not camera[i]:
-            rows.fail(f"image {image[i]!r} without a camera", i, "camera")
-        if (frame[i], camera[i]) in seen:
-            rows.fail(f"frame {frame[i]} of camera {camera[i]!r} is listed twice, first in line {seen[frame[i], camera[i]]}", i, "frame")
-        seen[frame[i], camera[i]] = rows.lines[i]
-        if frame[i] in start:
-            if abs(t[i] - start[frame[i]]) > SIMULTANEOUS:
-                rows.fail(f"frame {frame[i]} at t = {shown[i]} s, but its first exposure was at {origin.text(start[frame[i]])} s: "
-                          "exposures of one frame are simultaneous", i, "t", shown[i])
-            continue
-        if frame[i] < last[0]:
-            rows.fail(f"frame {frame[i]} follows frame {last[0]}: frames must come in order", i, "frame", frame[i])
-        if t[i] < last[1]:
-            rows.fail(f"time runs backwards: t = {shown[i]} s follows {last[2]} s", i, "t", shown[i])
-        start[frame[i]], last = t[i], (frame[i], t[i], shown[i])
-    for i, name in enumerate(image):
-        if name:
-            problem = check_image(folder / name, cameras[camera[i]])
-            if problem:
-                raise FileError(folder / name, f"{problem} ({path.name}, line {rows.lines[i]})")
-    return Exposures(frame, t, camera, image)
-
-
 def _sensors(path, origin, exposures):
     if not path.exists():
         return None
     rows = table.read(path, ("t",))
     t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
+    for name in channels:
+        if name_problem(name):
+            raise FileError(path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)
     if set(channels) - set(LIMBS):
         _covers(rows, t, exposures, origin)
     return Sensors(t, {name: rows.numbers(name) for name in channels})

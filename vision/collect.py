@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from rig.errors import FileError
+from rig.exposures import read_image, refused, undecodable
 from rig.processes import cores, gathered
 from rig.recording import Corners
 from vision import expect
@@ -34,14 +35,6 @@ class Collected:
     spread: dict[str, Spread]
 
 
-def read_image(path):
-    """Image as stored. Raises FileError for one that cannot be decoded."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise FileError(path, "cannot be decoded as an image")
-    return image
-
-
 def image_reader(recording):
     """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is none."""
     e = recording.exposures
@@ -55,6 +48,17 @@ def image_reader(recording):
 
 
 def collect(recording, marker_map, progress=None):
+    """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be decoded."""
+    try:
+        return _collected(recording, marker_map, progress)
+    except FileError:
+        bad = undecodable(recording.folder, recording.exposures)
+        if not bad:
+            raise
+        raise refused(bad) from None
+
+
+def _collected(recording, marker_map, progress):
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
     Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the

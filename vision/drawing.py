@@ -10,7 +10,7 @@ from rig.errors import FileError, RigError
 from rig.files import write_bytes
 from rig.recording import Exposures
 from vision import lens
-from vision.collect import read_image
+from rig.exposures import read_image
 from vision.detect import grey
 from vision.recorded import measure_recording
 

@@ -10,7 +10,7 @@ from rig.design import Camera
 from rig.errors import FileError, NotEnoughData, RigError
 from vision.board import Board, see
 from vision.calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
-from vision.collect import read_image
+from rig.exposures import read_image
 from vision.observations import Observations
 
 FIRST = 5  # distortion terms of the lens that straightens edges for the second look

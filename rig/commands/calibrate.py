@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, add_force, file_or_stdout, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved, read_recording
 from rig.errors import RigError
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     add_force(parser)
@@ -16,9 +16,8 @@ def arguments(parser):
 
 def run(arguments):
     """Calibrate a recording and write the calibration and its report."""
-    from rig import recording as recordings
 
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, add_force
+from rig.commands.output import Progress, add_force, add_recording, read_recording
 from rig.errors import RigError
 
 
@@ -12,7 +12,7 @@ FEW = 6  # numbers of a parameter that are printed; of more, how many there are
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="of the same rig from another recording: its joints are taken as known, "
                         "so that less can hide in them")
@@ -23,13 +23,11 @@ def arguments(parser):
 
 def run(arguments):
     """Diagnose a recording and write what was found."""
-    from rig import recording as recordings
-    from rig.effects import BY_NAME
+    from rig.effects.parse import asked
 
+    recording = read_recording(arguments)
     for text in (arguments.only or []) + arguments.without:
-        if text.split(" ")[0] not in BY_NAME:
-            raise RigError(f"there is no effect {text.split(' ')[0]!r}; there are {', '.join(BY_NAME)}")
-    recording = recordings.load(arguments.recording)
+        asked(text, recording.design)
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, print_unsolved
+from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path, help="with columns m1..m6 (m) in sensors.csv and [insitu] in rig.toml")
+    add_recording(parser, "with columns m1..m6 (m) in sensors.csv and [insitu] in rig.toml")
     parser.add_argument("--tolerance", nargs=2, type=float, default=(5e-5, 2e-4), metavar=("M", "RAD"),
                         help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
     parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
@@ -17,11 +17,10 @@ def arguments(parser):
 
 def run(arguments):
     """Hold the measuring limbs against vision, say whether they pass, and learn from them where they do."""
-    from rig import recording as recordings
 
     if min(*arguments.tolerance, arguments.check) <= 0:
         raise RigError("--tolerance and --check take positive numbers")
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
 
     from calib import insitu

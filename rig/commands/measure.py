@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, add_force, print_unsolved
+from rig.commands.output import Progress, add_force, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html")
     parser.add_argument("--hold", metavar="WHAT", default="", help="hold 'poses', 'lenses' or 'poses,lenses' of the cameras as stated")
     parser.add_argument("--places", choices=("auto", "stated", "free"), default="auto", help="places of the markers on their bodies: as stated, "
@@ -27,7 +27,7 @@ def run(arguments):
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
     if hold - {"poses", "lenses"}:
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, print_unsolved
+from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
 
 MANY = 6  # changes beyond which they are not believed to be steps
@@ -10,16 +10,15 @@ MANY = 6  # changes beyond which they are not believed to be steps
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
 
 
 def run(arguments):
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
-    from rig import recording as recordings
 
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
     mechanism = recording.design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")

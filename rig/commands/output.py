@@ -1,10 +1,14 @@
 """What the commands share: where results go, bars on a terminal, and figures in mm and mrad."""
 
 import sys
-from argparse import ArgumentParser
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.files import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from rig.recording import Recording
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -30,6 +34,22 @@ class Progress:
         if self.bar is not None:
             self.bar.close()
         self.bar, self.label = None, None
+
+
+def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
+    """Add REC, a recording whose images are read, and what is done about those that cannot be. text : help about it, or None."""
+    parser.add_argument("recording", metavar="REC", type=Path, help=text)
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+
+
+def read_recording(arguments: Namespace) -> "Recording":
+    """The Recording of the arguments that `add_recording` adds; images left out are named on standard error."""
+    from rig import recording as recordings
+
+    found = recordings.load(arguments.recording, arguments.skip_unreadable)
+    for image in found.skipped:
+        print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
+    return found
 
 
 def file_or_stdout(text: str) -> Path:

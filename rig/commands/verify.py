@@ -4,14 +4,14 @@ import json
 import sys
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_recording, print_comparison, print_unsolved, read_recording
 from rig.errors import RigError
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table (m, rad)")
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
@@ -23,7 +23,7 @@ def run(arguments):
 
     calibration = store.load(arguments.calibration)
     wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
 
     import numpy as np
 

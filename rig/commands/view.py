@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, add_force, file_or_stdout
+from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, read_recording
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
-    parser.add_argument("recording", metavar="REC", type=Path)
+    add_recording(parser)
     parser.add_argument("--frame", type=int, required=True)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="a picture, written here; without it one named after the recording "
                         "is written in the folder where you are, and shown")
@@ -19,9 +19,8 @@ def run(arguments):
     """Draw one frame."""
     import webbrowser
 
-    from rig import recording as recordings
 
-    recording = recordings.load(arguments.recording)
+    recording = read_recording(arguments)
 
     from vision.drawing import check_format, frame_picture, save
 

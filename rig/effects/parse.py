@@ -89,6 +89,21 @@ def _named(name: str, text: str) -> type[Effect]:
     return BY_NAME[name]
 
 
+def asked(text: str, design: Design) -> str:
+    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it. Raises RigError for what can never be asked."""
+    name, _, place = text.partition(" ")
+    kind = _named(name, name)
+    if not place:
+        return text
+    if kind.discrete:
+        raise RigError(f"{text!r}: {name} is looked for at all its places at once; ask for {name!r} alone")
+    try:
+        placed(check(kind(place)), design)
+    except ValueError as error:
+        raise RigError(f"{shown(text)}: {error}") from None
+    return text
+
+
 def placed(effect: Effect, design: Design) -> Effect:
     """The effect itself. Raises RigError where a design has no such place."""
     kind, _, name = effect.place.partition(" ")

@@ -18,7 +18,7 @@ from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.scenes import nees, scene
-from vision.collect import read_image
+from rig.exposures import read_image
 from vision.detect import detect
 from vision.measure import measure
 from vision.targets import marker_map
