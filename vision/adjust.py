@@ -21,6 +21,10 @@ OPEN = 1e-14  # of the best determined direction's information; what has less is
 MORE, LEAST = 3.0, 1e-8  # damping after a step that does not pay, over the one before; the first
 
 
+class NoOptimum(RigError):
+    """An adjustment that finds no optimum, or not within MAX_ITERATIONS: what is stated is far from what is seen."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
     """The optimum and what is known of it, for corners' covariance as given (scale it by what the residuals say).
@@ -61,7 +65,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean motion
     of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the base
     frame: their mean motion is held at zero.
-    Returns Adjustment. Raises NotEnoughData where unknowns outnumber observations, RigError where no optimum is found.
+    Returns Adjustment. Raises NotEnoughData where unknowns outnumber observations, NoOptimum where there is none to be found.
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
@@ -86,14 +90,14 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
                 break  # at the bottom: what a step still promises drowns in the rounding of the cost
             damping = max(MORE * damping, LEAST)
             if damping > 1e8:
-                raise RigError(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
+                raise NoOptimum(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
             continue
         done = cost - new <= CONVERGED * max(cost, 1.0)
         estimate, damping, blocks = moved, damping / MORE if damping > LEAST else 0.0, None
         if done:
             break
     else:
-        raise RigError(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
+        raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
     return _finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free))
 
 

@@ -69,18 +69,19 @@ class Measurement:
         return Corners(o.frames[o.frame], [names[i] for i in o.camera], [ids[i] for i in o.marker], o.corner, o.uv, o.covariance)
 
 
-def measure(observations, design, marker_map, free=("poses", "lenses"), progress=None, t=None):
+def measure(observations, design, marker_map, free=("poses", "lenses"), progress=None, t=None, cameras=None):
     """Platform poses of all frames with cameras and lenses adjusted to them, and places of markers too if asked for.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
     free : what is adjusted, see `adjust`; progress : called with (done, of) frames located, or None
     t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
+    cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
     """
     places = bool({"markers", "targets"} & set(free))
     count = len(observations.frames)
     stated = State(design.cameras, None, {}, marker_map)
-    cameras, markers = design.cameras, marker_map
+    cameras, markers = cameras or design.cameras, marker_map
     finest, covariance = UNSURE if places else FINEST, observations.covariance
     for _ in range(2 if places else 1):  # once to find the places, once more with these
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)

@@ -9,8 +9,12 @@ from rig.design import Marker
 from rig.pose import log
 from vision.adjust import adjust
 from vision.neighbours import MOST, angle, expect, reach_of
+from vision.normal import linearise, normal_equations, promised, step
+from vision.observations import whitener
 from vision.predict import predict
+from vision.unknowns import offset, unknowns
 
+HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned
 WIDE = 1.96  # standard deviations on either side of a 95 % interval
 
@@ -54,6 +58,21 @@ def places(measurement, t):
     weighted = before.cost / before.dof, a.cost / a.dof
     return Places(moves(a), m.frames, _by_frame(kept, before.state, len(m.frames)), _by_frame(kept, a.state, len(m.frames)),
                   weighted, _odd(m, t[solved]))
+
+
+def doubtful(measurement, markers):
+    """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
+    promises to take away. markers : MarkerMap as stated"""
+    a, kept = measurement.adjustment, measurement.used()
+    state = replace(a.state, markers=markers)
+    u, estimate = unknowns(kept, state, replace(a.stated, markers=markers), (*a.free, "markers"))
+    W = whitener(kept)
+    residual, derivatives = linearise(kept, estimate, u, W)
+    away = offset(estimate, replace(a.stated, markers=markers), u)
+    blocks = normal_equations(kept, derivatives, residual, u, away)
+    left = (residual**2).sum() - promised(blocks, *step(blocks, u))
+    dof = 2 * len(kept) - u.used.sum() - u.basis.shape[1]
+    return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 
 
 def listed(measurement):

@@ -3,10 +3,12 @@
 import numpy as np
 
 from rig.errors import NotEnoughData
+from vision.adjust import NoOptimum
 from vision.collect import collect, image_reader, look_again
 from vision.identity import LOOKED_AT, why_none
 from vision.measure import measure
 from vision.observations import from_corners
+from vision.places import HALVED, doubtful, moves
 from vision.targets import marker_map
 
 
@@ -18,7 +20,8 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     """(Measurement, Collected or None) of a recording.
 
     free : what is adjusted, see vision.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
-    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames
+    "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames, or most of the corners' scatter
+    comes from them
     detect_anew : read the images even where corners.csv is there
     progress : called with (label, done, of), or None
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
@@ -37,39 +40,42 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     def said(label):
         return (lambda done, of: progress(label, done, of)) if progress else None
 
-    def solve(corners, correlation=None):
-        return _solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, said("locating"), t, places)
+    def solved(corners, correlation=None):
+        return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, said("locating"), t, places)
 
     if recording.corners is not None and not detect_anew:
-        return solve(recording.corners), None
+        return solved(recording.corners), None
     if not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
     found = collect(recording, markers, said("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
-    measured = solve(found.corners, found.correlation)
+    measured = solved(found.corners, found.correlation)
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again
-        measured = solve(found.corners, found.correlation)
+        measured = solved(found.corners, found.correlation)
     return measured, found
 
 
-def _solve(observed, design, markers, free, progress, t, places):
+def solve(observed, design, markers, free, progress, t, places):
     """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at."""
-    loose = (*free, "markers")
+    loose, measured, contradicted = (*free, "markers"), None, True
     if places == "free":
         return measure(observed, design, markers, loose, progress, t)
     try:
         measured = measure(observed, design, markers, free, progress, t)
-    except NotEnoughData:
+        contradicted = len(refused(measured)) > REFUSED * len(observed.frames)
+    except (NotEnoughData, NoOptimum):
         if places == "stated":
             raise
-        return measure(observed, design, markers, loose, progress, t)
-    if places == "stated" or len(refused(measured)) <= REFUSED * len(observed.frames):
+    if measured is not None and (places == "stated" or not (contradicted or doubtful(measured, markers))):
         return measured
     freed = measure(observed, design, markers, loose, progress, t)
-    return freed if len(freed.frames) > len(measured.frames) else measured
+    if contradicted and not any(move.moved for move in moves(freed.adjustment)):  # it was the cameras that were not where they are stated
+        freed = measure(observed, design, markers, free, progress, t, freed.design.cameras)
+    better = measured is None or len(freed.frames) > len(measured.frames) or freed.noise < HALVED * measured.noise
+    return freed if better else measured
 
 
 def refused(measured):
