@@ -101,6 +101,7 @@ class Driver:
 
     def trust(self) -> None:
         """The operator says that the lengths read back are true: after a start without homing, or after PositionLost."""
+        self._asked(self._protocol.hello)
         self._left = path_check.check_lengths(self.lengths(), self.mechanism)
         self._known = True
 
@@ -112,6 +113,8 @@ class Driver:
     def home(self) -> Status:
         """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at home then."""
         with self._busy, self._guarded():
+            self._asked(self._protocol.hello)
+            self._known = False
             self._accepted(self.link.run(self._protocol.home(self.controller.home_timeout)), "homing")
             state = self._state()
             if state.activity != "idle" or state.fault or state.homed is False:

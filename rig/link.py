@@ -106,7 +106,7 @@ class Link:
                 return None
 
     def _read(self, until: float) -> list[str]:
-        """Whole lines that came; waits for the first byte until then (s on the clock)."""
+        """Whole lines that came, without their ends; waits for the first byte until then (s on the clock)."""
         if self._port is None:
             raise LinkLost("not connected")
         data = self._port.read(until)
@@ -116,8 +116,8 @@ class Link:
         *whole, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._rest) > LONGEST:
             self._rest = b""
-        lines = [line.decode("latin-1").strip(" \x00") for line in whole]
-        lines = [line for line in lines if line]
+        lines = [line.decode("latin-1").strip("\x00") for line in whole]
+        lines = [line for line in lines if line.strip()]
         for line in lines:
             if event := self.protocol.event(line):
                 self.events.append((self.clock.now(), event))

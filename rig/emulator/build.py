@@ -7,6 +7,7 @@ from rig.design import Design
 from rig.emulator.axes import Axes
 from rig.emulator.emulator import Emulator
 from rig.emulator.faults import Faults
+from rig.emulator.gcs import GCS
 from rig.emulator.grblhal import GrblHAL
 from rig.emulator.machine import Machine
 from rig.emulator.struts import Struts
@@ -35,6 +36,8 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
     limits = m.strut_range - c.zero[:, None]
     if c.protocol == "grblhal":
         return GrblHAL(machine, faults, clock, "".join(c.axes) or "XYZABC"[: len(home)], limits, None if c.homing else {22: 0})
+    if c.protocol == "gcs":
+        return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     raise RigError(f"there is no emulator of {c.protocol!r}")

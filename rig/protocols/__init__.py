@@ -2,6 +2,7 @@
 
 from rig.controller import Controller
 from rig.protocols.base import Protocol
+from rig.protocols.gcs import GCS
 from rig.protocols.grblhal import GrblHAL
 from rig.protocols.struts import Struts
 
@@ -10,6 +11,8 @@ def of(controller: Controller, count: int) -> Protocol:
     """The protocol of a controller that drives `count` axes."""
     if controller.protocol == "grblhal":
         return GrblHAL(controller.axes or tuple("XYZABC"[:count]))
+    if controller.protocol == "gcs":
+        return GCS(controller.axes, count)
     if controller.protocol == "struts":
         return Struts(count, controller.watchdog)
     raise ValueError(f"no protocol {controller.protocol!r}")

@@ -65,7 +65,7 @@ class GrblHAL:
 
     def fence(self) -> Dialogue[bool]:
         lines = yield from ask(b"$G\n", _after("[GC:"))
-        words = next(line for line in lines if line.startswith("[GC:"))[4:].rstrip("]").split()
+        words = next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()
         return {"G21", "G90", "G94"} <= set(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
 
     def state(self) -> Dialogue[State]:
@@ -112,6 +112,7 @@ class GrblHAL:
         return (yield from _command("$X"))
 
     def event(self, line: str) -> str:
+        line = line.strip()
         if _BANNER.match(line):
             return "restarted"
         if match := _ALARM.search(line):
@@ -156,17 +157,19 @@ class GrblHAL:
 
 def _told(data: bytes, locked: bool = False) -> Dialogue[tuple[str, ...]]:
     """The lines of an answer that ends with ok. Raises ControllerFault for an error; locked : error:9 will do."""
-    lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1]) is not None)
-    if lines[-1] != "ok" and not (locked and lines[-1] == "error:9"):
-        raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(lines[-1])}")
-    return lines
+    lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
+    end = lines[-1].strip()
+    if end != "ok" and not (locked and end == "error:9"):
+        raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
+    return tuple(line.strip() for line in lines)
 
 
 def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
-    lines = yield Exchange(line.encode() + b"\n", lambda lines: bool(_END.fullmatch(lines[-1]) or _ALARM.search(lines[-1])), timeout)
+    lines = yield Exchange(line.encode() + b"\n", lambda lines: bool(_END.fullmatch(lines[-1].strip()) or _ALARM.search(lines[-1])), timeout)
     if lines is None:
         return Verdict(None, f"no answer to {line}")
-    return Verdict(lines[-1] == "ok", "" if lines[-1] == "ok" else _reason(lines[-1]))
+    end = lines[-1].strip()
+    return Verdict(end == "ok", "" if end == "ok" else _reason(end))
 
 
 def _reason(line: str) -> str:
@@ -177,4 +180,4 @@ def _reason(line: str) -> str:
 
 def _after(start: str):
     """Whether lines end with ok, after one that begins so: an ok before it is older."""
-    return lambda lines: lines[-1] == "ok" and any(line.startswith(start) for line in lines)
+    return lambda lines: lines[-1].strip() == "ok" and any(line.startswith(start) for line in lines)
