@@ -66,7 +66,7 @@ class Driver:
         self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)
         self._say = say or (lambda text: None)
         self._busy = threading.RLock()
-        self._known = False
+        self._known, self._homed = False, None  # whether the lengths can be believed; what the controller said of that
         self._left: np.ndarray | None = None  # (n,) m where the struts were left
 
     def __enter__(self) -> "Driver":
@@ -83,7 +83,7 @@ class Driver:
         state = self._state()
         for _ in range(REPORTS if state.homed is None and self.controller.homing else 0):
             state = self._state() if state.homed is None else state
-        self._left = self._lengths(state)
+        self._left, self._homed = self._lengths(state), state.homed
         self._known = bool(state.homed) or not (self.controller.homing or mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any())
         return self._status(state)
 
@@ -103,7 +103,7 @@ class Driver:
         """The operator says that the lengths read back are true: after a start without homing, or after PositionLost."""
         self._asked(self._protocol.hello)
         self._left = path_check.check_lengths(self.lengths(), self.mechanism)
-        self._known = True
+        self._known, self._homed = True, None
 
     def unlock(self) -> Status:
         """Clear the controller's alarm, because the operator says so."""
@@ -122,7 +122,7 @@ class Driver:
             lengths, home = self._lengths(state), self.controller.home
             if home is not None and np.abs(lengths - home).max() > self.controller.tolerance:
                 raise PositionLost(f"after homing the struts read {lengths.round(6).tolist()} m, [controller] home says {home.round(6).tolist()} m")
-            self._known, self._left = True, lengths
+            self._known, self._homed, self._left = True, state.homed, lengths
             return self._status(state)
 
     def check(self, lengths: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -164,6 +164,8 @@ class Driver:
         state = self._state()
         if state.activity != "idle" or state.fault:
             raise ControllerFault(f"not ready to move: {state.fault or state.activity} ({state.said})")
+        if self._homed and state.homed is False:
+            self._known = False
         if not self._known:
             raise PositionLost("where the struts stand is not known; home, or say that the position is to be trusted")
         lengths = self._lengths(state)

@@ -9,6 +9,7 @@ from rig.emulator.emulator import Emulator
 from rig.emulator.faults import Faults
 from rig.emulator.gcs import GCS
 from rig.emulator.grblhal import GrblHAL
+from rig.emulator.linuxcnc import LinuxCNC
 from rig.emulator.machine import Machine
 from rig.emulator.struts import Struts
 from rig.errors import RigError
@@ -40,6 +41,8 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
         return GCS(machine, faults, clock, c.axes or tuple(str(i + 1) for i in range(len(home))), limits)
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
+    if c.protocol == "linuxcnc":
+        return LinuxCNC(machine, faults, clock, c.axes or tuple("XYZABC"[: len(home)]), limits, m if c.kinematics == "world" else None)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

@@ -4,6 +4,7 @@ from rig.controller import Controller
 from rig.protocols.base import Protocol
 from rig.protocols.gcs import GCS
 from rig.protocols.grblhal import GrblHAL
+from rig.protocols.linuxcnc import LinuxCNC
 from rig.protocols.struts import Struts
 
 
@@ -15,4 +16,6 @@ def of(controller: Controller, count: int) -> Protocol:
         return GCS(controller.axes, count)
     if controller.protocol == "struts":
         return Struts(count, controller.watchdog)
+    if controller.protocol == "linuxcnc":
+        return LinuxCNC(controller.axes or tuple("XYZABC"[:count]), controller.kinematics, controller.password, controller.enable_password)
     raise ValueError(f"no protocol {controller.protocol!r}")
