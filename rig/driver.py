@@ -21,7 +21,7 @@ PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to
 POLL = 0.01  # s between looks at a moving rig
 STILL = 1.0  # s without coming nearer: standing
 NEARER = 1e-7  # m; less is noise of the read-back
-REPORTS = 12  # within which a controller says whether it is homed; grblHAL does in every tenth
+STANDING = 1e-6  # m by which a rig that stands may seem to come nearer from one look to the next
 TRIES = 3  # times that a move is sent which the read-back shows was never begun
 
 
@@ -81,8 +81,6 @@ class Driver:
         self.link.connect(0.0)
         self._say(self.link.run(self._protocol.hello()))
         state = self._state()
-        for _ in range(REPORTS if state.homed is None and self.controller.homing else 0):
-            state = self._state() if state.homed is None else state
         self._left, self._homed = self._lengths(state), state.homed
         self._known = bool(state.homed) or not (self.controller.homing or mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any())
         return self._status(state)
@@ -107,6 +105,7 @@ class Driver:
 
     def unlock(self) -> Status:
         """Clear the controller's alarm, because the operator says so."""
+        self._asked(self._protocol.hello)
         self._accepted(self.link.run(self._protocol.unlock()), "unlocking")
         return self.status()
 
@@ -145,7 +144,7 @@ class Driver:
             self.check(target, start)
             begun = self.clock.now()
             with self._guarded():
-                note = self._go(self._segment(start, target, share), target)
+                note = self._go(self._segment(start, target, share), start, target)
                 self._left = arrived = self.lengths()
             return Arrival(arrived, begun, self.clock.now(), note)
 
@@ -184,7 +183,7 @@ class Driver:
         pose = mechanisms.of(self.mechanism).forward(target, self.mechanism) if c.kinematics == "world" else None
         return Segment(start - c.zero, target - c.zero, duration, speed, acceleration, pose)
 
-    def _go(self, segment: Segment, target: np.ndarray) -> str:
+    def _go(self, segment: Segment, start: np.ndarray, target: np.ndarray) -> str:
         """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
         note = ""
         for _ in range(TRIES):
@@ -192,37 +191,38 @@ class Driver:
                 verdict = self.link.run(self._protocol.move(segment))
             except LinkLost as error:
                 verdict = Verdict(None, str(error))
-            if self._watch(target, verdict):
+            if self._watch(start, target, verdict):
                 return note or ("" if verdict.accepted else f"lost reply, found done: {verdict.reason}")
             note = f"sent again, nothing had moved: {verdict.reason}"
             self._say(note)
         raise Stalled(f"sent {TRIES} times, and nothing moved: {verdict.reason}")
 
-    def _watch(self, target: np.ndarray, verdict: Verdict) -> bool:
+    def _watch(self, start: np.ndarray, target: np.ndarray, verdict: Verdict) -> bool:
         """True when the struts have arrived, False when they never began and no answer came."""
         if verdict.accepted is False:
             raise ControllerFault(f"the move was refused: {verdict.reason}")
         begun = since = self.clock.now()
-        closest, first = np.inf, None
+        closest = before = np.inf
         while True:
             state = self._state()
             lengths = self._lengths(state)
             off = np.abs(lengths - target).max()
-            first = lengths if first is None else first
             if any(t >= begun and text == "restarted" for t, text in list(self.link.events)):
                 self._same()
             if state.fault or state.activity in ("alarm", "off", "held", "homing"):
                 raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately(begun)}")
-            if state.activity == "idle" and off <= self.controller.tolerance:
+            if state.activity == "idle" and off <= self.controller.tolerance and (off <= STANDING or before - off <= STANDING):
                 return True
+            before = off
             if off < closest - NEARER:
                 closest, since = off, self.clock.now()
             elif self.clock.now() - since > STILL:
                 self._same()  # what was sent has been dealt with, and what is read now is no older answer
-                lengths = self.lengths()
+                state = self._state()
+                lengths = self._lengths(state)
                 if np.abs(lengths - target).max() < closest - NEARER:
                     continue
-                if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - first).max() < self.controller.tolerance:
+                if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - start).max() < self.controller.tolerance:
                     return False
                 raise Stalled(f"the struts stand at {lengths.round(6).tolist()} m, {1e3 * off:.3f} mm from where they were told to go "
                               f"({state.said}){self._lately(begun)}")

@@ -24,12 +24,12 @@ class GCS(Emulator):
         self.axes, self.limits = axes, np.asarray(limits, float)
         self.velocity, self.acceleration = machine.axes.speed.copy(), machine.axes.acceleration.copy()
         self.servo, self.error = np.zeros(len(axes), bool), 0
-        self.target = machine.counters(clock.now())
+        self.greet()
         self._moved = False  # whether the next ERR? answers a move
 
     def greet(self) -> None:
         self.servo[:], self.error = False, 0
-        self.target = self.machine.counters(self.now)
+        self._hold(self.now)
 
     def at_once(self, byte: int) -> bool:
         if byte == 5:
@@ -69,8 +69,12 @@ class GCS(Emulator):
         return self.machine.moving(self.now) or self.machine.homing(self.now)
 
     def _halt(self) -> None:
-        self.machine.halt(self.now)
+        self._hold(self.machine.halt(self.now))
         self.error = 10
+
+    def _hold(self, t: float) -> None:
+        """What is aimed at is where the axes stand at t (s)."""
+        self.target, self._goal = self.machine.counters(t), self.machine.axes.at(t)
 
     def _tell_error(self) -> None:
         t = self.now
@@ -108,7 +112,7 @@ class GCS(Emulator):
         return np.full(len(self.axes), self.machine.homed)
 
     def _on_target(self) -> bool:
-        return bool(np.abs(self.machine.counters(self.now) - self.target).max() < 2e-6)
+        return bool(np.abs(self.machine.axes.at(self.now) - self._goal).max() < 2e-6)
 
     def _set(self, word: str, arguments: list[str]) -> None:
         if len(arguments) % 2 or not arguments or not all(re.fullmatch(r"[-+]?\d+(\.\d*)?", value) for value in arguments[1::2]):
@@ -126,7 +130,7 @@ class GCS(Emulator):
                 return
             self.servo[index] = values != 0
             self.machine.fail(0.0, "")
-            self.target = self.machine.counters(self.now)
+            self._hold(self.now)
         elif word == "MOV":
             target = self.target.copy()
             target[index] = values / MM
@@ -159,6 +163,7 @@ class GCS(Emulator):
         self.target = target
         duration = (np.abs(target - self.machine.counters(self.now)) / self.velocity).max()
         self.machine.go(self.now, target, duration)
+        self._goal = self.machine.executed[-1].target
         self.strikes_on_move(self.machine.axes.until - self.now)
         if asks:
             self._in = b""
@@ -176,7 +181,7 @@ class GCS(Emulator):
             self.later(end, self._end_reference if well else self._fail_reference)
 
     def _end_reference(self) -> None:
-        self.target = self.machine.counters(self.now)
+        self._hold(self.now)
 
     def _fail_reference(self) -> None:
         self.error = 216

@@ -16,6 +16,7 @@ MM = 1e3
 INCH = 25.4  # mm
 LINE = 78  # characters that every Grbl takes in a line
 BUFFER = 64  # bytes of the receive buffer, where the controller does not say
+REPORTS = 12  # within which a controller says whether it is homed, if it ever does
 HOLD = 10.0  # s that a feed hold may take
 READY = "G21G90G94F100"
 _STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
@@ -45,6 +46,7 @@ class GrblHAL:
         self._letters = "XYZABCUVW"[: len(self.axes)]
         self._buffer = BUFFER
         self._offset: np.ndarray | None = None  # mm, WCO
+        self._homed: bool | None = None
 
     def hello(self) -> Dialogue[str]:
         yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
@@ -61,6 +63,11 @@ class GrblHAL:
         settings = yield from _told(b"$$\n")
         self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
         ready = yield from _told(READY.encode() + b"\n", locked=True)
+        if int(self._settings.get(22, 0)) & 1:  # whether it is homed comes with every tenth report, and with a whole one
+            whole = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
+            for _ in range(REPORTS):
+                if self._homed is None:
+                    yield Exchange(whole, lambda lines: self._read(lines[-1]) is not None)
         return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
 
     def fence(self) -> Dialogue[bool]:
@@ -140,9 +147,10 @@ class GrblHAL:
             fault = f"alarm {number} ({ALARMS.get(int(number or 0), 'see its manual')})" if number else fault or "alarm"
         elif word in ("Door", "Tool", "Check", "Sleep"):
             fault = f"it is in the state {match[1]}"
-        homed = fields["H"].startswith("1") if "H" in fields else None
+        if "H" in fields:
+            self._homed = fields["H"].startswith("1")
         chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
-        return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, homed, fault, match[0])
+        return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, self._homed, fault, match[0])
 
     def _numbers(self, text: str) -> np.ndarray | None:
         """(axes,) mm, or None where they are not as many as the controller has axes."""

@@ -30,6 +30,7 @@ class Verdicts:
     hangs: int = 0
     reasonless: int = 0
     unsafe: int = 0
+    cases: list = field(default_factory=list)
 
 
 def bench(design, protocol, orders, seed, **controller):
@@ -56,24 +57,26 @@ def judged(design, protocol, orders, moves, seed, **controller):
             note = driver.move(target).note
             verdicts.done += 1
             verdicts.recovered += bool(note)
-            verdicts.unacknowledged += _count(emulator, before, target) != 1 or _off(emulator, clock, target) > ARRIVED
+            if _count(emulator, before, target) != 1 or _off(emulator, clock, target) > ARRIVED:
+                verdicts.unacknowledged += 1
+                verdicts.cases.append((k, note, _count(emulator, before, target), _off(emulator, clock, target), emulator.faults.struck[struck:]))
         except MotionError as error:
             verdicts.stopped[type(error).__name__] += 1
             verdicts.reasonless += len(str(error)) < 15
             verdicts.unsafe += bool(emulator.machine.axes.until > clock.now() + 1.0)  # still on its way after all the driver did
             _recover(driver, emulator)
-        verdicts.twice += _count(emulator, before, target) > 1
-        verdicts.hangs += clock.now() - begun > LONGEST
+        verdicts.twice += int(_count(emulator, before, target) > 1)
+        verdicts.hangs += int(clock.now() - begun > LONGEST)
         verdicts.struck.update(emulator.faults.struck[struck:])
     return verdicts
 
 
 def _count(emulator, before, target):
-    return sum(np.abs(one.target - target).max() < 1e-5 for one in emulator.machine.executed[before:])
+    return sum(bool(np.abs(one.target - target).max() < 1e-5) for one in emulator.machine.executed[before:])
 
 
 def _off(emulator, clock, target):
-    return np.abs(emulator.machine.axes.at(clock.now()) - target).max()
+    return float(np.abs(emulator.machine.axes.at(clock.now()) - target).max())
 
 
 def _recover(driver, emulator):
