@@ -47,6 +47,7 @@ class GrblHAL:
         self._buffer = BUFFER
         self._offset: np.ndarray | None = None  # mm, WCO
         self._homed: bool | None = None
+        self._whole_report = b"?"
 
     def hello(self) -> Dialogue[str]:
         yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
@@ -63,11 +64,8 @@ class GrblHAL:
         settings = yield from _told(b"$$\n")
         self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
         ready = yield from _told(READY.encode() + b"\n", locked=True)
-        if int(self._settings.get(22, 0)) & 1:  # whether it is homed comes with every tenth report, and with a whole one
-            whole = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
-            for _ in range(REPORTS):
-                if self._homed is None:
-                    yield Exchange(whole, lambda lines: self._read(lines[-1]) is not None)
+        self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
+        yield from self._learn_homed()
         return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
 
     def fence(self) -> Dialogue[bool]:
@@ -100,7 +98,10 @@ class GrblHAL:
         return (yield from _command(line))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
-        return (yield from _command("$H", timeout))
+        verdict = yield from _command("$H", timeout)
+        self._homed = None
+        yield from self._learn_homed()
+        return verdict
 
     def stop(self) -> Dialogue[Verdict]:
         yield Exchange(b"!", lambda lines: False, 0.0)
@@ -121,12 +122,19 @@ class GrblHAL:
     def event(self, line: str) -> str:
         line = line.strip()
         if _BANNER.match(line):
+            self._homed = None
             return "restarted"
         if match := _ALARM.search(line):
             return f"ALARM:{match[1]}" + (f" ({ALARMS[int(match[1])]})" if int(match[1]) in ALARMS else "")
         if re.fullmatch(r"error:\d+", line):
             return _reason(line)
         return ""
+
+    def _learn_homed(self) -> Dialogue[None]:
+        """Ask until it says whether it is homed, which comes with a whole report, or with every tenth, or never."""
+        for _ in range(REPORTS if int(self._settings.get(22, 0)) & 1 else 0):
+            if self._homed is None:
+                yield Exchange(self._whole_report, lambda lines: self._read(lines[-1]) is not None)
 
     def _read(self, line: str) -> State | None:
         """State of a status report, positions None while the work offset is not known; None for what is no report."""
