@@ -87,6 +87,11 @@ def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Eff
     return Run(T * exp(sway) if sway.any() else T, deviation)
 
 
+def rolls(design: Design, effects: Iterable[Effect]) -> bool:
+    """Whether the rows of some camera's images are exposed one after the other, so that velocities matter to what is seen."""
+    return any(camera.shutter == "rolling" for camera in design.cameras) or any(effect.rolls for effect in effects)
+
+
 def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], sensors: Sensors | None) -> Run:
     around = np.concatenate([t - ABOUT, t, t + ABOUT])
     order = np.argsort(around, kind="stable")

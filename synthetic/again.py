@@ -22,7 +22,7 @@ def again(folder: Path) -> dict[str, Simulation]:
     """
     path = folder / "machine.json"
     if not path.exists():
-        raise FileError(path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording with cameras")
+        raise FileError(path, "no such file; --from takes a folder that `rig diagnose` wrote from a commanded recording")
     found = recording.load(folder)
     if found.commands is None:
         raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
@@ -33,6 +33,6 @@ def again(folder: Path) -> dict[str, Simulation]:
     out = {}
     for kind in KINDS:
         part = secret if kind == "with" else replace(secret, effects=())
-        rolls = any(c.shutter == "rolling" for c in part.true.cameras) or any(e.rolls for e in part.effects)
-        out[kind] = Simulation(part, plan, sensors, sensors, machine.run(part.true, plan.commands, t, part.effects, sensors, rates=rolls))
+        run = machine.run(part.true, plan.commands, t, part.effects, sensors, rates=machine.rolls(part.true, part.effects))
+        out[kind] = Simulation(part, plan, sensors, sensors, run)
     return out

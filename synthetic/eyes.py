@@ -79,9 +79,8 @@ class Eyes:
         commands = Commands(np.r_[times[past], t] - self._start, np.vstack([lengths[past], at]))
         when, weather = np.array([t - self._start]), self._weather.true
         plan = Plan(commands, when, np.array([(0.0, 0.0)]))
-        rolls = any(c.shutter == "rolling" for c in self.world.true.cameras) or any(e.name == "rolling_shutter" for e in self.world.effects)
         loaded = replace(weather, channels={**weather.channels, "payload_mass_kg": np.zeros(len(weather.t))})
-        run = machine.run(self.world.true, commands, when, self.world.effects, loaded, rates=rolls)
+        run = machine.run(self.world.true, commands, when, self.world.effects, loaded, rates=machine.rolls(self.world.true, self.world.effects))
         return Simulation(self.world, plan, loaded, self._weather.log, run)
 
 

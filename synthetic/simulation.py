@@ -26,6 +26,7 @@ from vision.targets import MarkerMap, marker_map
 if TYPE_CHECKING:
     from synthetic.pictures import Images
 
+EXACT = Instrument("rig", "rig", 0.0, 0.0)  # where nobody says what measured the poses
 STEEPEST = np.cos(np.radians(70))  # corners are written of markers seen no more obliquely
 
 
@@ -56,8 +57,7 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator) -> Simul
     duration = plan.commands.t[-1]
     true, log = worlds.weather(duration, rng, worlds.struts_of(world.true.mechanism))
     sensors, log = logged(plan, true), logged(plan, log)
-    rolls = any(c.shutter == "rolling" for c in world.true.cameras) or any(e.rolls for e in world.effects)
-    run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=rolls)
+    run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=machine.rolls(world.true, world.effects))
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)
     return Simulation(world, plan, sensors, log, run)
@@ -131,9 +131,10 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
     log = simulation.log
     write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
         f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
-    if simulation.world.stated.instrument is not None:
-        write_measured(out / "poses.csv", simulation.run.T_base_platform, simulation.world.stated.instrument, rng)
-    if not cameras or not simulation.world.stated.targets:
+    instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
+    if instrument is not None or not looks:
+        write_measured(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)
+    if not looks:
         return
     if images is None:
         seen = corners(simulation, noise, rng)

@@ -15,7 +15,7 @@ def arguments(parser):
     parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
-    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: screws turned by their cardans (screw_coupling)")
+    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: share of the cardans' twist that turns the screws")
     parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
     add_force(parser)

@@ -13,7 +13,7 @@ from rig.effects.drawing import Drawing, value
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others
 STEEPEST = np.radians(60)  # to which a window may be tilted
-TILTS, TOWARDS = np.radians([20.0, 40.0]), np.arange(8) * np.pi / 4  # of windows that are looked for, besides one square to the camera
+TILTS, TOWARDS = np.radians([30.0]), np.arange(8) * np.pi / 4  # of windows that are looked for besides a square one; a fit does the rest
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,10 @@ class Vibration(Effect):
         return ({("mode", i): self.mode[i] for i in range(size)},)
 
     def written(self) -> Self:
-        return replace(self, mode=tuple(self.direction_.tolist()))
+        mode = self.direction_
+        turned = mode[np.argmax(np.abs(mode[:3]) if np.any(mode[:3]) else np.abs(mode))] < 0  # its greatest number is written positive
+        phase = np.remainder(self.phase + (2 if turned else 1) * np.pi, 2 * np.pi) - np.pi
+        return replace(self, mode=tuple((-mode if turned else mode).tolist()), phase=float(phase))
 
     def _angle(self, motion: Motion) -> np.ndarray:
         return 2 * np.pi * self.frequency * motion.t + self.phase
@@ -78,8 +81,8 @@ class Vibration(Effect):
     def composed(cls, candidate: Candidate, shape: dict, coefficients: np.ndarray) -> "Vibration":
         """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that make most of them up."""
         u, s, vt = np.linalg.svd(np.reshape(coefficients, (2, 6)), full_matrices=False)
-        mode, size = vt[0], np.linalg.norm(vt[0, :3]) or 1.0
-        return cls(candidate.place, float(s[0] * size), mode=tuple((mode / size).tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **shape)
+        size = np.linalg.norm(vt[0, :3]) or 1.0
+        return cls(candidate.place, float(s[0] * size), mode=tuple(vt[0].tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **shape).written()
 
 
 def one_direction(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:

@@ -11,7 +11,9 @@ from rig.effects import ALL
 from rig.effects.base import MOTION_STAGES, Context, check
 from rig.effects.catalogue import page
 from rig.effects.drawing import Drawing
+from rig.effects.motion import Path
 from rig.effects.parse import parse
+from rig.effects.vibration import one_direction
 from rig.errors import RigError
 from rig.pose import difference
 from rig.recording import Commands, Sensors
@@ -156,3 +158,32 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
 
 def test_the_page_of_the_catalogue_is_current():
     assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == page(), "python -m rig.effects.catalogue > docs/effects.md"
+
+
+def test_a_shaking_has_one_notation(design):
+    """A direction and a phase may be written in many ways: all shake alike, and `written` is the same for all."""
+    setting = setting_of(design, "hexapod")
+    motion = context_of(setting).motion
+    texts = ("mode=0.6/0/0.8/0.5/0/0,phase=1", "mode=1.2/0/1.6/1/0/0,phase=1", f"mode=-0.6/0/-0.8/-0.5/0/0,phase={1 - np.pi}")
+    shakes = [parse(f"vibration:rig:amplitude=2e-5,frequency=3.3,{text}") for text in texts]
+    for shake in shakes:
+        np.testing.assert_allclose(shake.sway(motion), shakes[0].sway(motion), atol=1e-18)
+        np.testing.assert_allclose(shake.written().sway(motion), shakes[0].sway(motion), atol=1e-18)
+        np.testing.assert_allclose([*shake.written().mode, shake.written().phase], [0.6, 0, 0.8, 0.5, 0, 0, 1], atol=1e-12)
+
+
+def test_one_direction_is_found_among_twelve_numbers():
+    rng = np.random.default_rng(7)
+    X, phase, direction = rng.normal(size=(200, 12)) * np.tile([1, 1, 1, 50, 50, 50], 2), np.array([0.6, 0.8]), rng.normal(size=6)
+    x = np.outer(phase, direction).ravel()
+    drop, found = one_direction(X.T @ X @ x, X.T @ X)
+    np.testing.assert_allclose(found, x, rtol=1e-6)
+    assert drop == pytest.approx(x @ X.T @ X @ x)
+
+
+def test_a_last_step_does_not_depend_on_knots_or_waits():
+    t, values = np.array([0.0, 1, 2, 3, 5, 6, 9]), np.array([[0.0, 0], [0, 0], [1, 2], [1, 2], [3, 0], [4, -1], [4, -1]])
+    path = Path(t, values, np.array([1, 2, 3, 4, 5, 6]))
+    expected = [[0, 0], [1, 2], [1, 2], [2, -2], [3, -3], [3, -3]]  # the last two knots lie on one straight way
+    np.testing.assert_allclose(path.last_step, expected)
+    np.testing.assert_allclose(path.with_knots(np.linspace(0.1, 8.9, 40)).last_step, expected, atol=1e-12)
