@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow bench clean
+.PHONY: setup demo demo-files test test-slow bench clean
 
 setup: .venv/.ready
 
@@ -11,6 +11,9 @@ setup: .venv/.ready
 
 demo: setup
 	sh .ci/demo
+
+demo-files: setup
+	sh .ci/demo-files
 
 test: setup
 	$(BIN)/python -m pytest -q -n auto

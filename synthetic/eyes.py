@@ -19,7 +19,7 @@ from synthetic.simulation import Simulation
 from synthetic.world import World
 
 LONGEST = 24 * 3600.0  # s that the weather lasts; beyond it stays as it was
-SOON, LATE = 0.02, 0.5  # s between looks at the history for what the struts did up to a moment, and until they count as standing
+SOON, LATE = 0.02, 20.0  # s between looks at the history for what the struts did up to a moment, and until that is given up
 Told = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
@@ -33,7 +33,7 @@ class Weather:
 
 class Eyes:
     """What cameras and sensors of a world show. images : Images; seed : of weather and noise
-    told : the struts' history so far, (k,) s and (k, n) m, straight between; where they stand after its end they stay."""
+    told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the moment of asking."""
 
     def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
         self._clock = clock
@@ -70,7 +70,9 @@ class Eyes:
     def _now(self, t: float) -> Simulation:
         """The machine at t (s), after all that its struts have done."""
         times, lengths = self._told()
-        while times[-1] < t and self._clock.now() < t + LATE:
+        while times[-1] < t:  # where they stand at t is not known before
+            if self._clock.now() > t + LATE:
+                raise RigError(f"what the struts did is told up to {t - times[-1]:.1f} s before the exposure, and no further for {LATE:g} s")
             self._clock.sleep(SOON)
             times, lengths = self._told()
         self._start = float(times[0]) if self._start is None else self._start

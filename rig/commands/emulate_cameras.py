@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rig.errors import RigError
 
-START = 120.0  # s for the process to be ready; compiling and OpenGL take some
+START = 300.0  # s for the process to be ready; compiling and OpenGL take some
 
 
 class Cameras:
@@ -36,8 +36,12 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
     """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
     import signal
 
+    import numpy as np
+
     from rig import design_file
+    from rig.cameras.emulated import USUAL
     from rig.clock import SystemClock
+    from rig.emulator.build import home_lengths
     from synthetic import world
     from synthetic.eyes import Eyes, ToldByFile
     from synthetic.eyes_server import EyesServer
@@ -50,8 +54,12 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
         secret = world.from_truth(truth, stated) if truth else world.World(stated, stated)
         check_drawable(secret.effects)
         opengl()
-        clock = SystemClock()
-        server = EyesServer(Eyes(secret, Images(stated.sensor), seed, ToldByFile(history), clock), address, clock)
+        clock, images = SystemClock(), Images(stated.sensor)
+        home = home_lengths(stated.mechanism)
+        at_home = Eyes(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
+        for camera in secret.true.cameras:  # what is compiled and loaded for the first pictures is not waited for later
+            at_home.image(camera.name, 1.0, USUAL)
+        server = EyesServer(Eyes(secret, images, seed, ToldByFile(history), clock), address, clock)
     except RigError as error:
         pipe.send((False, str(error)))
         return

@@ -1,7 +1,7 @@
 """rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
 
 from rig.commands.driving import add_driving, design_of, driving, print_status
-from rig.errors import RigError
+from rig.errors import PositionLost, RigError
 
 
 def arguments(parser):
@@ -31,6 +31,8 @@ def run(arguments):
     with driving(design, arguments.trace, print) as driver:
         if arguments.trust:
             driver.trust()
+        if not driver.status().known:
+            raise PositionLost("where the struts stand is not known, so not how much longer they may become; home them, or say --trust")
         goal = _lengths(arguments.to, count) if arguments.to else driver.lengths() + arguments.by * 1e-3 * np.isin(np.arange(1, count + 1), struts)
         driver.move(goal, arguments.speed)
         print_status(driver.status(), design)

@@ -1,0 +1,107 @@
+"""The commands that move struts, against an emulated controller at a pseudo-terminal."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from calib.certificate import Figures, HeldOut
+from calib.correction import Correction
+from calib.store import Calibration, save
+from rig import design_file, mechanisms
+from rig.cli import main
+from rig.clock import SystemClock
+from rig.errors import RigError
+from rig.occupied import Occupied, interrupt
+from rig.pose import vector
+from synthetic import world
+from tests.running import EmulatedRig
+
+
+@pytest.fixture(scope="module")
+def emulated(tmp_path_factory):
+    made = EmulatedRig(tmp_path_factory.mktemp("driving"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def rig(emulated):
+    return str(emulated.folder / "rig.toml")
+
+
+@pytest.fixture
+def calibration(emulated, rig):
+    """A calibration of a machine that is not quite as stated."""
+    nominal = design_file.load(rig).mechanism
+    fitted = world.draw(design_file.load(rig), np.random.default_rng(4)).true.mechanism
+    none = Figures(1, (0.0,) * 3, (0.0,) * 3, (0.0,) * 6, (0.0,) * 2)
+    path = emulated.folder / "calibration.json"
+    save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), HeldOut(none, none, (0.0, 0.0), (1.0,) * 3),
+                           {"inputs_sha256": {}}))
+    return str(path), fitted
+
+
+def said(capsys, *words, ok=True):
+    assert (main(list(words)) == 0) == ok
+    out, err = capsys.readouterr()
+    return out if ok else err
+
+
+def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calibration, capsys):
+    path, fitted = calibration
+    assert "position not known: home" in said(capsys, "status", rig)
+    assert "is not known" in said(capsys, "jog", rig, "--by", "1", ok=False)
+    assert "pose by the owner's model 0.000" in said(capsys, "home", rig).replace("-0.000", "0.000")
+    lengths = [float(x) for x in re.search(r"lengths (.*) mm", said(capsys, "jog", rig, "--strut", "3", "--by", "1.5"))[1].split()]
+    assert lengths[2] - lengths[0] == pytest.approx(1.5, abs=2e-3)
+    assert len(emulated.told()) == 1
+    wanted = "0.01,0.02,0.44,0.01,0.03,0.05"
+    planned = said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run")
+    assert len(emulated.told()) == 1, "a dry run moves nothing"
+    done = said(capsys, "go", path, "--rig", rig, "--pose", wanted)
+    assert planned.splitlines()[0] in done
+    T = mechanisms.of(fitted).forward(np.array(emulated.told()[-1]), fitted)
+    np.testing.assert_allclose(vector(T), [float(x) for x in wanted.split(",")], atol=3e-6)  # micrometres are what the controller takes
+    assert "idle" in said(capsys, "stop", rig)
+
+
+def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, calibration, capsys, tmp_path):
+    said(capsys, "home", rig)
+    before = len(emulated.told())
+    for words, why in (
+            (("jog", rig, "--by", "500"), "beyond what the struts reach"), (("jog", rig, "--strut", "7", "--by", "1"), "--strut takes 1 .. 6"),
+            (("jog", rig, "--to", "1,2"), "6 lengths in mm"), (("jog", rig, "--by", "1", "--speed", "2"), "share above 0"),
+            (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.9,0,0,0"), "cannot be reached"),
+            (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.45"), "six figures"),
+            (("run", rig, "--plan", "moving:5", "--out", str(tmp_path / "r")), "while the struts move"),
+            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--resume"), "no run to resume"),
+            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "rain"), "--stop-on takes jump"),
+            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "drift"), "--calibration and a --tolerance"),
+            (("run", rig, "--plan", "sobol:2", "--out", str(emulated.folder)), "is there already"),
+            (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--settle", "limbs:1e-6", "--exposure", "keep"), r"\[sensors\] table")):
+        assert re.search(why, said(capsys, *words, ok=False)), words
+    assert len(emulated.told()) == before
+
+
+def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, capsys, tmp_path):
+    out = str(tmp_path / "rec")
+    text = said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--dry-run", "--port", "/dev/nowhere")
+    assert "4 steps, 3 frames of 1 cameras" in text and "nothing was moved" in text and not (tmp_path / "rec").exists()
+    said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, "--settle", "time:0", "--exposure", "keep", "--no-measure")
+    assert "is there already; --resume goes on" in said(capsys, "run", rig, "--plan", "sobol:3", "--out", out, ok=False)
+    assert "another plan" in said(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
+    rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
+    assert [row["kind"] for row in rows].count("exposed") == 3
+
+
+def test_one_process_drives_and_can_be_asked_to_stop(rig, capsys):
+    port = design_file.load(rig).controller.port
+    with Occupied(port):
+        assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
+        with pytest.raises(KeyboardInterrupt):
+            interrupt(port, SystemClock(), 0.05)
+    assert interrupt(port, SystemClock(), 0.05) is None
+    with Occupied(port), pytest.raises(RigError, match="is driving"):
+        Occupied(port)
