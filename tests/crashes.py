@@ -118,9 +118,9 @@ def run(folder: Path, words: list[str]) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Content of all files but temporaries, without what differs from run to run."""
+    """Content of all files but temporaries, without what differs from run to run (a season's score counts its seconds)."""
     return {str(path.relative_to(folder)): CHANGES.sub(b"", path.read_bytes()) for path in sorted(folder.rglob("*"))
-            if path.is_file() and ".rig-" not in str(path.relative_to(folder))}
+            if path.is_file() and ".rig-" not in str(path.relative_to(folder)) and not path.match("season/score.*")}
 
 
 def prepared(base: Path, names: tuple[str, ...]) -> list[Scene]:
@@ -179,7 +179,7 @@ def _damage(scene: Scene, work: Path) -> str:
     """A file that is neither as it was nor as it was to be, one that is gone, or a folder that is a mixture, where the folder is not marked."""
     left, marked = files(work), _marked(work)
     for name, content in left.items():
-        if content not in (scene.old.get(name), scene.new.get(name)) and not name.startswith("season/score"):
+        if content not in (scene.old.get(name), scene.new.get(name)):
             return f"{scene.name}: {name} is neither as it was nor as it was to be"
     for top in sorted({name.split("/")[0] for name in (*left, *scene.old)} - marked):
         kept, old, new = ({name: content for name, content in tree.items() if name.split("/")[0] == top} for tree in (left, scene.old, scene.new))
@@ -205,7 +205,7 @@ def _again(scene: Scene, work: Path) -> str:
     if status and not (scene.name == "online" and "count twice" in error):
         return f"{scene.name} again: {error.strip()[-300:]}"
     now = files(work)
-    wrong = [name for name in scene.new.keys() | now.keys() if now.get(name) != scene.new.get(name) and not name.startswith("season/score")]
+    wrong = [name for name in scene.new.keys() | now.keys() if now.get(name) != scene.new.get(name)]
     if wrong or list(work.glob("**/.rig-new-*")):
         return f"{scene.name} again: {wrong or 'something staged'} is not as it would have been"
     return ""

@@ -1,9 +1,14 @@
 """rig online REC [--state FILE]."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.provenance import Marks
+    from rig.recording import Recording
 
 MANY = 6  # changes beyond which they are not believed to be steps
 
@@ -74,7 +79,7 @@ def run(arguments):
         print(f"written: {arguments.state}")
 
 
-def not_learnt(recording, of, learnt):
+def not_learnt(recording: "Recording", of: "Marks", learnt: set[str]) -> list[int]:
     """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
 
     Raises RigError where none is left: what is learnt twice counts twice

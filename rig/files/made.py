@@ -62,6 +62,9 @@ def load(folder: Path) -> Made:
             raise FileError(path, f'is no manifest that is known here: its schema is {tree["schema"]!r}, not "{SCHEMA}"')
         origin = tree["origin"] and Origin(str(tree["origin"]["command"]), tuple(map(str, tree["origin"]["arguments"])),
                                            tree["origin"]["complete"] is True, tuple(map(str, tree["origin"]["data"])))
+        for name in tree["files"]:
+            if not name or name.startswith("/") or "\0" in name or {"", ".", ".."} & set(name.split("/")):
+                raise FileError(path, f"names {name!r}, which is no file of its folder")
         return Made(origin, {name: Entry(str(entry["command"]), tuple(map(str, entry["sha256"]))) for name, entry in tree["files"].items()})
     except (FileNotFoundError, NotADirectoryError):
         return Made()

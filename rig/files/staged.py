@@ -78,7 +78,8 @@ class Staged:
             stale = self._stale(known, new)
             self._refuse(known, new, stale, inputs, force)
             entries = {name: Entry(self.command, (digest(self.folder / name),)) for name in new}
-            kept = {name: entry for name, entry in known.files.items() if name not in stale and name not in entries}
+            kept = {name: entry for name, entry in known.files.items()
+                    if name not in stale and name not in entries and os.path.lexists(self.place / name)}
             old = {name: known.files[name] for name in known.files if name not in kept}
             both = {name: Entry(self.command, (*(old[name].sha256 if name in old else ()), *entry.sha256)) for name, entry in entries.items()}
             whole = origin if self.whole else known.origin
@@ -114,6 +115,8 @@ class Staged:
         inner = [real for real in (Path(os.path.realpath(path)) for path in inputs) if self.place in real.parents]
         for name in (*new, *stale):
             path = self.place / name
+            if not Path(os.path.realpath(path.parent)).is_relative_to(self.place):
+                raise FileError(path, "lies behind a link that leads out of the folder; name another place to write to")
             there = status(path)
             if there is None:
                 continue

@@ -189,6 +189,33 @@ def test_a_recording_that_was_not_finished_is_no_recording(tmp_path, recording_f
     assert recording.load(recording_folder).exposures.frame.size
 
 
+@pytest.mark.parametrize("name", ["../victim", "/etc/hostname", "images/../../victim", "a//b", ""])
+def test_a_manifest_names_no_file_outside_its_folder(name, tmp_path):
+    out = tmp_path / "out"
+    make(out, {"frames.csv": "1"})
+    (tmp_path / "victim").write_text("mine")
+    manifest = json.loads((out / MANIFEST).read_text())
+    manifest["files"][name] = {"command": "measure", "sha256": []}
+    (out / MANIFEST).write_text(json.dumps(manifest))
+    for force in (False, True):
+        with pytest.raises(FileError, match="is no file of its folder"):
+            make(out, {"frames.csv": "2"}, force=force)
+    assert (tmp_path / "victim").read_text() == "mine"
+
+
+def test_a_link_out_of_a_folder_is_not_followed(tmp_path):
+    out = tmp_path / "out"
+    make(out, {"images/1.png": "drawn"})
+    (tmp_path / "photographs").mkdir()
+    (tmp_path / "photographs" / "1.png").write_text("drawn")
+    shutil.rmtree(out / "images")
+    (out / "images").symlink_to(tmp_path / "photographs")
+    for files in ({"images/1.png": "new"}, {"frames.csv": "new"}):
+        with pytest.raises(FileError, match="leads out of the folder"):
+            make(out, files, force=True)
+    assert (tmp_path / "photographs" / "1.png").read_text() == "drawn"
+
+
 def test_a_folder_written_in_place_is_marked_until_its_end(tmp_path):
     out = tmp_path / "season"
     with pytest.raises(ZeroDivisionError), Outputs("blind") as outputs:

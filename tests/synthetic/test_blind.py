@@ -122,6 +122,13 @@ def test_a_season_is_sealed_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     assert [t["trial"] for t in tree["trials"]] == [1, 2, 3]
     assert all(h["outcome"] == "named and placed" for t in tree["trials"] for h in t["hidden"])
     assert recording.load(tmp_path / "s" / "recordings" / "0003").corners is not None
+    capfd.readouterr()
+    (tmp_path / "s" / "seals" / "0001.sha256").write_text("")
+    (tmp_path / "s" / "diagnoses" / "0002.json").write_text('{"seconds": 1')
+    assert cli.main([*call, "--trials", "1-3"]) == 0 and seen == [1, 2, 3, 1, 2]  # a disk that was full, a cut power line
+    said = capfd.readouterr().err
+    assert "trial 1" in said and "is sealed anew" in said and "trial 2" in said and "is diagnosed anew" in said
+    assert (tmp_path / "s" / "seals" / "0001.sha256").read_text() == sealed
     page = (tmp_path / "s" / "score.html").read_text()
     assert "<script" not in page and "http" not in page and "What was taken for what" in page
     capfd.readouterr()
