@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import machine
-from rig.design import Platform
+from rig.design import Camera, Platform
 from rig.effects.cardans import cardan_twist
 from rig.effects.parse import parse
 from rig.effects.play import play
@@ -169,7 +169,7 @@ def test_the_clocks_by_hand(design, home):
 @pytest.fixture
 def looking(design):
     """One camera that looks straight at one marker of side 0.1 m, one metre ahead: f = 1000 px, middle (639.5, 511.5)."""
-    from rig.design import Camera, Marker, Target
+    from rig.design import Marker, Target
 
     camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
     ahead = pose([0, 0, 1.0], [np.pi, 0, 0])  # facing the camera, its top to the image's top
@@ -200,6 +200,29 @@ def looking(design):
 ])
 def test_what_cameras_see_by_hand(looking, text, corner):
     np.testing.assert_allclose(looking(text)[0, 0], corner, rtol=2e-5)
+
+
+def test_a_tilted_window_is_a_square_one_seen_from_aside():
+    """Turning camera, window and points together changes nothing."""
+    rng = np.random.default_rng(0)
+    points, turn = np.r_[0, 0, 1.0] + 0.2 * rng.normal(size=(40, 3)), Rotation.from_rotvec([0.3, -0.4, 0.1])
+    square, normal = parse("refraction:cam1:thickness=0.01"), turn.apply([0, 0, 1.0])
+    tilted = parse(f"refraction:cam1:thickness=0.01,normal={normal[0]}/{normal[1]}/{normal[2]}")
+    camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+    np.testing.assert_allclose(tilted.bend(camera, turn.apply(points)), turn.apply(square.bend(camera, points)), atol=1e-14)
+    assert np.abs(tilted.bend(camera, points) - square.bend(camera, points)).max() > 1e-4
+    with pytest.raises(RigError, match="away from the camera"):
+        parse("refraction:cam1:thickness=0.01,normal=1/0/0.1")
+
+
+def test_a_slab_shifts_a_ray_as_snell_says():
+    """At 45 degrees a plate of 10 mm and index 1.5 shifts a ray sideways by t sin(a - b) / cos b, b the angle inside."""
+    camera = Camera("cam1", 1280, 1024, [[1000.0, 0, 639.5], [0, 1000, 511.5], [0, 0, 1]], np.zeros(5), RigidTransform.identity())
+    a, b = np.pi / 4, np.arcsin(np.sin(np.pi / 4) / 1.5)
+    shift = 0.01 * np.sin(a - b) / np.cos(b)
+    window = parse("refraction:cam1:thickness=0.01,normal=0.7071067811865476/0/0.7071067811865476")
+    seen = window.bend(camera, np.array([[shift, 0.0, 1.0]]))[0]  # its ray leaves the camera along the axis and bends towards the normal
+    np.testing.assert_allclose(seen[:2] / seen[2], 0, atol=1e-12)
 
 
 def test_camera_drift_and_focal_drift_by_hand(looking):
