@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -95,7 +96,7 @@ class Motion:
     kept: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> Kind[Any]:
         """The module of rig.mechanisms that moves the mechanism."""
         return mechanisms.of(self.mechanism)
 

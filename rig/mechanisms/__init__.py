@@ -1,14 +1,16 @@
 """Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of rig.design."""
 
+from typing import Any
+
 from rig.design import Arm, Free, Hexapod, Planar2
 from rig.errors import RigError
 from rig.mechanisms import arm, hexapod, planar
 from rig.mechanisms.kind import Kind
 
-ALL: dict[str, Kind] = {"hexapod": hexapod, "planar2": planar, "arm": arm}
+ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": planar, "arm": arm}
 
 
-def of(mechanism: Hexapod | Planar2 | Arm | Free) -> Kind:
+def of(mechanism: Hexapod | Planar2 | Arm | Free) -> Kind[Any]:
     """The module that moves a mechanism (Hexapod, Planar2, Arm). Raises RigError for a kind that has no kinematics here."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")

@@ -68,3 +68,18 @@ def test_a_rig_that_nothing_sees_is_refused(tmp_path, capsys):
     (tmp_path / "rig.toml").write_text('schema = "rig/1"\n' + RIGS["planar2"])
     assert cli.main(["simulate", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "rec")]) == 1
     assert "an instrument that sees poses" in capsys.readouterr().err
+
+
+def test_an_arm_as_found_is_drawn_anew_by_the_same_machine(tmp_path):
+    """A folder as a diagnosis leaves it: the recording's own files, and the machine with what was found."""
+    found, world, _ = simulated(tmp_path, "arm", "--effect", "backlash:joint2:gap=1e-3", place="free")
+    folder = tmp_path / "diagnosed"
+    folder.mkdir()
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        (folder / name).write_bytes((tmp_path / "rec" / name).read_bytes())
+    (folder / "machine.json").write_bytes((tmp_path / "truth.json").read_bytes())
+    assert cli.main(["simulate", "--from", str(folder), "--out", str(tmp_path / "both")]) == 0
+    drawn = {kind: recording.load(tmp_path / "both" / kind).poses.T_base_platform for kind in ("with", "without")}
+    off = {kind: difference(T, found.poses.T_base_platform).std(axis=0) for kind, T in drawn.items()}
+    np.testing.assert_allclose(off["with"], np.sqrt(2) * np.repeat(SIGMA, 3), rtol=0.3)
+    assert off["without"][:3].max() > 5 * SIGMA[0]
