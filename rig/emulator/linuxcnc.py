@@ -13,7 +13,7 @@ from rig.emulator.faults import Faults
 from rig.emulator.machine import Machine
 
 MM = 1e3
-END = "\r\n"
+END, SET_END = "\r\n", "\n\r"  # as emcrsh.cc has them
 FREE = ("ECHO", "VERBOSE", "ENABLE")  # what may be set before control is enabled
 
 
@@ -109,7 +109,7 @@ class LinuxCNC(Emulator):
 
     def _answer(self, word: str, accepted: bool) -> None:
         if not accepted or self._verbose:
-            self.say(f"SET {word} {'ACK' if accepted else 'NAK'}{END}", acknowledges=accepted and word in ("MDI", "HOME"))
+            self.say(f"SET {word} {'ACK' if accepted else 'NAK'}{SET_END}", acknowledges=accepted and word in ("MDI", "HOME"))
 
     def _home(self) -> None:
         if not self._power or self._mode != "MANUAL":
@@ -146,7 +146,7 @@ class LinuxCNC(Emulator):
         self.faults.begin()
         take = self.faults.take
         if take("ok-after-error"):
-            self.say(f"SET MDI NAK{END}SET MDI ACK{END}")
+            self.say(f"SET MDI NAK{SET_END}SET MDI ACK{SET_END}")
             return
         if take("resend"):
             return  # the line never came

@@ -18,6 +18,7 @@ UNITS = {"MM": 1e3, "INCH": 1 / 0.0254, "CM": 1e2}  # of a metre
 IDENTITY = "1"  # KINEMATICS_TYPE
 POLL = 0.05  # s
 ECHO = 0.3  # s to wait for an answer that need not come
+MOST_ERRORS = 20  # that may be waiting to be read
 REST = 20.0  # s that an abort may take
 _NUMBER = r"-?\d+\.\d+"
 
@@ -60,8 +61,7 @@ class LinuxCNC:
     def state(self) -> Dialogue[State]:
         running = yield from self._get("PROGRAM_STATUS", r"\w+")
         positions = (yield from self._positions())[: len(self.axes)] / self._unit
-        error = yield from self._get("ERROR", r".+")
-        fault = "" if error == "OK" else error
+        fault = yield from self._errors()
         if running == "RUNNING":
             return State("moving", positions, None, fault, f"PROGRAM_STATUS {running}")
         power, stopped = (yield from self._get("MACHINE", "ON|OFF")), (yield from self._get("ESTOP", "ON|OFF"))
@@ -93,7 +93,7 @@ class LinuxCNC:
             verdict = yield from self._set(line, 4)
             if not verdict.accepted:
                 return verdict
-        yield from self._get("ERROR", r".+")  # what was left by whoever came before
+        yield from self._errors()  # what was left by whoever came before
         verdict = yield from self._set("SET HOME -1", 1)
         if verdict.accepted is False:  # older ones home joint by joint
             for joint in range(len(self.axes)):
@@ -101,8 +101,7 @@ class LinuxCNC:
         for _ in range(max(int(timeout / POLL), 1)):
             if verdict.accepted is False:
                 return verdict
-            error = yield from self._get("ERROR", r".+")
-            if error != "OK":
+            if error := (yield from self._errors()):
                 return Verdict(False, error)
             if (yield from self._all_homed()):
                 self._homed = True
@@ -152,6 +151,16 @@ class LinuxCNC:
 
     def _words(self, word: str) -> Dialogue[list[str]]:
         return (yield from self._get(word, r"\w+(?: \w+)+")).upper().split()
+
+    def _errors(self) -> Dialogue[str]:
+        """What it complains of, one complaint an answer, until there is none: "" for nothing."""
+        found: list[str] = []
+        for _ in range(MOST_ERRORS):
+            error = yield from self._get("ERROR", r".+")
+            if error == "OK":
+                break
+            found.append(error)
+        return "; ".join(found)
 
     def _all_homed(self) -> Dialogue[bool]:
         words = yield from self._words("JOINT_HOMED")
