@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.correction import calibrate
-from calib.identify import pose_jacobian
-from calib.samples import blocks
+from calib.claim import LEAST, Claim, promise
+from calib.configurations import folds, labels, ranges, witnesses
+from calib.correction import Correction, calibrate
+from calib.identify import Identified, identify, pose_jacobian
+from calib.tolerance import tolerance
 from rig import mechanisms
 from rig.pose import difference
 
@@ -32,13 +34,26 @@ class HeldOut:
     """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
 
     floor : (m, rad) RMS standard uncertainty of the measured poses themselves
-    ratio : before / after in position, with its 95 % bootstrap interval (low, high)
+    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses
+    configurations : how many distinct ones these poses are
     """
 
     before: Figures
     after: Figures
     floor: tuple[float, float]
     ratio: tuple[float, float, float]
+    configurations: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certified:
+    """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
+    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than claim.LEAST of them"""
+
+    correction: Correction
+    found: Identified
+    label: np.ndarray
+    held_out: HeldOut | None
 
 
 def figures(errors):
@@ -51,14 +66,20 @@ def figures(errors):
     return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
 
 
-def compare(errors_before, errors_after, covariance, rng):
-    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses."""
+def compare(errors_before, errors_after, covariance, rng, label=None):
+    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
+
+    label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
+    """
+    label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
     before, after = figures(errors_before), figures(errors_after)
-    squares = [(e[:, :3] ** 2).sum(axis=1) for e in (errors_before, errors_after)]
-    picks = rng.integers(len(errors_before), size=(DRAWS, len(errors_before)))
-    draws = np.sqrt(squares[0][picks].mean(axis=1) / np.maximum(squares[1][picks].mean(axis=1), 1e-300))
+    count, size = label.max() + 1, np.bincount(label)
+    squares = [np.bincount(label, weights=(e[:, :3] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
+    picks = rng.integers(count, size=(DRAWS, count))
+    draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
     low, high = np.quantile(draws, [0.025, 0.975])
-    return HeldOut(before, after, uncertainty(covariance), (before.position[0] / max(after.position[0], 1e-300), float(low), float(high)))
+    ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
+    return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
 
 
 def uncertainty(covariance):
@@ -87,32 +108,60 @@ def errors_of(correction, samples):
     return errors
 
 
-def certify(samples, nominal, rng):
-    """(Correction, Identified, HeldOut): calibrated on all samples, and what was left on stretches held out in turn.
+def certify(samples, nominal, rng, progress=None):
+    """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
-    The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness are
-    those found on the whole recording. rng : numpy Generator, for the bootstrap
+    The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness, and how good
+    the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
+    progress : called with (label, done, of), or None
     """
+    label = labels(samples.commanded, ranges(nominal))
+    said = progress or _silent
+    said("fitting the geometry", 0, 1)
     correction, found = calibrate(samples, nominal)
-    before, plain = _held_out(samples, nominal, "none")
+    said("fitting the geometry", 1, 1)
+    if label.max() + 1 < LEAST:
+        if any(correction.remainder):  # nothing says whether it pays
+            correction, found = calibrate(samples, nominal, "none")
+        return Certified(correction, found, label, None)
+    before, plain = _held_out(samples, nominal, label, "none", found.prior, said)
     if any(correction.remainder):
-        _, corrected = _held_out(samples, nominal, correction.remainder)
+        _, corrected = _held_out(samples, nominal, label, correction.remainder, found.prior, said)
         precision = np.linalg.inv(samples.total_covariance())
         gain = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
         gain = gain[0] - gain[1]
         if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)):
-            return correction, found, compare(before, corrected, samples.total_covariance(), rng)
+            return Certified(correction, found, label, compare(before, corrected, samples.total_covariance(), rng, label))
         correction, found = calibrate(samples, nominal, "none")
-    return correction, found, compare(before, plain, samples.total_covariance(), rng)
+    return Certified(correction, found, label, compare(before, plain, samples.total_covariance(), rng, label))
 
 
-def _held_out(samples, nominal, remainder):
-    fold = blocks(len(samples), min(FOLDS, len(samples) // 8 or 2))
+def _silent(label, done, of):
+    pass
+
+
+def _held_out(samples, nominal, label, remainder, prior, said):
+    fold = folds(label, min(FOLDS, label.max() + 1))
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+    name = "holding configurations out" + ("" if remainder == "none" else ", struts corrected")
+    said(name, 0, fold.max() + 1)
     for k in np.unique(fold):
-        correction, _ = calibrate(samples.take(fold != k), nominal, remainder)
+        correction, _ = calibrate(samples.take(fold != k), nominal, remainder, prior)
         before[fold == k], after[fold == k] = errors_of(correction, samples.take(fold == k))
+        said(name, int(k) + 1, fold.max() + 1)
     return before, after
+
+
+def promised(samples, done: Certified, rng) -> Claim:
+    """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
+    nominal = done.correction.nominal
+    good = done.found.inliers
+    label = np.unique(done.label[good], return_inverse=True)[1]
+    kept = samples.take(good)
+    each = witnesses(kept, label, np.linalg.inv(mechanisms.of(nominal).jacobian(kept.T_base_platform, nominal)))
+    offset = done.correction.rho(each.commanded)
+    found = identify(each, nominal, offset, done.found.prior)
+    return promise(found, tolerance(found, nominal), done.correction, each, rng)
 
 
 def correlation(series):

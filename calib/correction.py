@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.identify import identify
+from calib.tolerance import tolerance
 from calib.interpolate import radial
 from rig import mechanisms
 from rig.design import Hexapod
@@ -78,23 +79,25 @@ def reachable(commands, mechanism, labels):
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def calibrate(samples, nominal, remainder="find"):
+def calibrate(samples, nominal, remainder="find", prior=None):
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
-    samples : Samples; nominal : Hexapod
+    samples : Samples; nominal : Hexapod; prior : (42,) m, how good its figures are, or None: as these samples have it
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
     None takes over size and smoothness from there. Raises RigError for another kind of mechanism, NotEnoughData as `identify`
     """
     if nominal.kind != "hexapod":
         raise RigError(f"calibration of a mechanism of kind {nominal.kind!r} is not there yet; it knows hexapods")
-    found = identify(samples, nominal)
+    if prior is None:
+        prior = tolerance(identify(samples, nominal), nominal).prior
+    found = identify(samples, nominal, prior=prior)
     parts = (None,) * 6
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
         return Correction(nominal, found.hexapod, parts), found
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like)
-        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.commanded))
+        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.commanded), prior)
         if remainder == "find":
             if not any(parts):
                 break

@@ -10,6 +10,7 @@ geometry (calib/joint.py).
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from calib import closed_loop
 from calib.least_squares import Fit, Linear, fit
@@ -19,8 +20,9 @@ from rig.mechanisms import hexapod as mechanism
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then stays as it was
+LEAST = 7  # poses from which struts may scatter, and on which a geometry must stand where there are so many
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
-EXCESS = 3.0  # standard errors by which scatter must exceed the poses' own before it counts as the struts'
+EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it counts as the struts'
 NAMES = (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
          *(f"zero of strut {i + 1}" for i in range(6)))
 
@@ -33,6 +35,7 @@ class Identified:
     shared errors; root : (42, 42) 1/m, square root of the information in the poses alone
     residuals : (n, 6) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n, 6, 6) m^2
     scatter : (6,) m, scatter of each strut beyond the poses' own; inliers : (n,) bool
+    prior : (42,) m, standard deviation that the owner's figures were given; cost : whitened squares of data, shared draw and prior
     """
 
     hexapod: Hexapod
@@ -43,6 +46,8 @@ class Identified:
     residual_covariance: np.ndarray
     scatter: np.ndarray
     inliers: np.ndarray
+    prior: np.ndarray
+    cost: float
 
 
 def parameters(hexapod):
@@ -55,37 +60,37 @@ def with_parameters(hexapod, p):
     return replace(hexapod, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
 
 
-def identify(samples, nominal, offset=None):
-    """Joint positions and strut zeros that explain the measured poses.
+def identify(samples, nominal, offset=None, prior=None):
+    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow.
 
-    samples : Samples; nominal : Hexapod, where the fit starts and what its weak prior (5 mm) holds
+    samples : Samples; nominal : Hexapod, where the fit starts and where its prior holds what the poses do not tell
     offset : (n, 6) m or None, known deviations of the struts (commanded less effective), taken off the commands first
-    Returns Identified. Raises NotEnoughData for fewer than 7 poses (42 equations), RigError where the fit does not settle.
+    prior : (42,) m, standard deviation that the owner's figures are given, 5 mm each by default
+    Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
-    if len(samples) < 7:
-        raise NotEnoughData(f"{len(samples)} poses cannot determine 42 parameters; it takes 7, better 30")
     lengths = samples.commanded - (0 if offset is None else offset)
-    loops = Loops(samples, lengths, nominal)
+    prior = np.full(42, PRIOR) if prior is None else np.asarray(prior, float)
+    loops = Loops(samples, lengths, nominal, prior)
     inliers, scatter, p = np.ones(len(samples), bool), np.zeros(6), parameters(nominal)
     for _ in range(ROUNDS):
         found = loops.fit(p, inliers, scatter)
         p = found.parameters
         left, S = loops.closure(found)
         new_scatter, new_inliers = _scatter(left, S, inliers), _inliers(left, S, scatter)
-        if new_inliers.sum() < 7:
+        if new_inliers.sum() < min(LEAST, len(samples) / 2):
             raise NotEnoughData(f"only {new_inliers.sum()} of {len(samples)} poses agree with one geometry")
         if (new_inliers == inliers).all() and np.abs(new_scatter - scatter).max() < 1e-9:
             break
         inliers, scatter = new_inliers, new_scatter
-    return Identified(with_parameters(nominal, p), found.covariance, found.shared, found.root, left, S, scatter, inliers)
+    return Identified(with_parameters(nominal, p), found.covariance, found.shared, found.root, left, S, scatter, inliers, prior, found.cost)
 
 
 class Loops:
     """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start from again."""
 
-    def __init__(self, samples, lengths, nominal):
-        """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle"""
-        self.samples, self.lengths, self.nominal = samples, np.ascontiguousarray(lengths, float), nominal
+    def __init__(self, samples, lengths, nominal, prior):
+        """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle; prior : (42,) m, its width"""
+        self.prior, self.samples, self.lengths, self.nominal = prior, samples, np.ascontiguousarray(lengths, float), nominal
         measured, home = samples.T_base_platform.as_matrix(), nominal.home.as_matrix()
         self.R_measured, self.t_measured = np.ascontiguousarray(measured[:, :3, :3]), np.ascontiguousarray(measured[:, :3, 3])
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
@@ -93,7 +98,7 @@ class Loops:
 
     def fit(self, start, inliers, scatter):
         """least_squares.Fit from parameters start (42,). inliers : (n,) bool; scatter : (6,) m"""
-        return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), np.full(42, PRIOR), inliers=inliers)
+        return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), self.prior, inliers=inliers)
 
     def linearise(self, p, scatter):
         """least_squares.Linear at parameters p (42,). Raises RigError naming the first pose that has no solution there."""
@@ -139,9 +144,12 @@ def pose_jacobian(T_base_platform, hexapod):
 def _scatter(left, S, inliers):
     """(6,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices."""
     count = inliers.sum()
+    if count <= LEAST:
+        return np.zeros(6)
     own = np.einsum("nii->ni", S)[inliers].mean(axis=0) * max(1 - 7 / count, 0.1)
     seen = (left[inliers] ** 2).mean(axis=0)
-    return np.where(seen > own * (1 + EXCESS * np.sqrt(2 / count)), np.sqrt(np.maximum(seen - own, 0)), 0.0)
+    freedom = count - 7
+    return np.where(seen > own * chi2.isf(norm.sf(EXCESS), freedom) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
 
 
 def _inliers(left, S, scatter):

@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.certificate import errors_of
+from calib.observability import combinations
+from calib.verdict import verdict
 from rig import mechanisms
 from rig.pose import vector
 from rig.files import write_text
@@ -166,23 +168,42 @@ def _worst_markers(m):
 
 
 def calibration_page(path, recording, calibration, samples, found):
-    """Write the page of a calibration: before and after on held-out poses, strut corrections, coverage, parameters."""
-    held, correction = calibration.held_out, calibration.correction
-    rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
-    parts = [f"<p>Held-out poses (whole stretches in turn, N = {held.after.n}): the error falls from "
-             f"<b>{held.before.position[0] * 1e3:.3f} mm</b> to <b>{held.after.position[0] * 1e3:.4f} mm</b> RMS, {held.ratio[0]:.0f} times "
-             f"(95 % interval {held.ratio[1]:.0f} to {held.ratio[2]:.0f}). The measured poses themselves are uncertain by "
-             f"{held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad: what is left is {held.after.position[0] / held.floor[0]:.2f} "
-             "times that.</p>",
-             table(("pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows),
+    """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
+    correction = calibration.correction
+    parts = [*worth(calibration.claim), *_held(calibration.held_out),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
              before_after(*errors_of(correction, samples), samples.frame),
              "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
-             coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _parameters(calibration),
+             coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _combinations(calibration, found), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+
+
+def worth(claim):
+    """HTML paragraphs of a Claim: the verdict, then on what it rests."""
+    first, *rest = verdict(claim)
+    return [f"<p><b>{html.escape(first[0].upper() + first[1:])}.</b></p>", "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in rest) + "</ul>"]
+
+
+def _held(held):
+    if held is None:
+        return []
+    rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]
+    return [f"<p>Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct configurations): the "
+            f"error falls from {held.before.position[0] * 1e3:.3f} mm to {held.after.position[0] * 1e3:.4f} mm RMS. The measured poses themselves "
+            f"are uncertain by {held.floor[0] * 1e3:.4f} mm and {held.floor[1] * 1e3:.4f} mrad: what is left is "
+            f"{held.after.position[0] / held.floor[0]:.2f} times that.</p>",
+            table(("held-out pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)]
+
+
+def _combinations(calibration, found):
+    """Every combination of the parameters with how well the poses tell it, folded."""
+    parts, seen = combinations(found.root, calibration.correction.fitted)
+    rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
+    return (f"<details><summary>The 42 combinations that the poses tell, the worst first (condition number {seen.condition:.0f})</summary>"
+            + table(("combination", "standard error by the poses alone, um"), rows) + "</details>")
 
 
 def _figures(f):

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 import platform
 from dataclasses import asdict, dataclass
@@ -15,6 +16,7 @@ from calib.arms.correction import ArmCorrection
 from calib.arms.model import names
 from calib.arms.profile import Profile
 from calib.certificate import Figures, HeldOut
+from calib.claim import Claim
 from calib.correction import Correction
 from calib.interpolate.radial import Radial
 from rig import json_file
@@ -36,21 +38,26 @@ ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses
 PARAMETERS = "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
+_NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,) * 2)
+NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an arm
     (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
-    (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree; held_out : HeldOut
-    provenance : what went in, by which versions and arguments"""
+    (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
+    held_out : HeldOut, or None where too few configurations were recorded to hold any out
+    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one"""
 
     correction: Correction
     covariance: np.ndarray
     scatter: np.ndarray
     frames: tuple[int, ...]
     left_out: tuple[int, ...]
-    held_out: HeldOut
+    held_out: HeldOut | None
     provenance: dict
+    claim: Claim | None = None
 
 
 def provenance(recording, arguments, seed, used_images):
@@ -93,7 +100,8 @@ def save(path, calibration):
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"visited": correction.visited.tolist()} if arm else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": nulls(asdict(calibration.held_out)), "provenance": calibration.provenance,
+        "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -112,7 +120,8 @@ def load(path):
     correction = ArmCorrection(nominal, fitted, parts, tree.array("visited", (None, axes))) if arm else Correction(nominal, fitted, parts)
     fit = tree.table("fit")
     return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
-                       fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree))
+                       fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
+                       _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None)
 
 
 def mechanism_out(mechanism):
@@ -191,9 +200,24 @@ def _spread_in(tree, key):
 
 
 def _held_out_in(table):
-    ratio = table.array("ratio", (3,), nulls=True)
-    return HeldOut(_figures_in(table.table("before")), _figures_in(table.table("after")), tuple(table.array("floor", (2,), nulls=True).tolist()),
-                   tuple(ratio.tolist()))
+    """HeldOut, or None where nothing was held out."""
+    ratio, after = table.array("ratio", (3,), nulls=True), _figures_in(table.table("after"))
+    configurations = table.whole("configurations", 0) if "configurations" in table.tree else after.n  # not in files of before they were counted
+    return HeldOut(_figures_in(table.table("before")), after, tuple(table.array("floor", (2,), nulls=True).tolist()), tuple(ratio.tolist()),
+                   configurations) if after.n else None
+
+
+def _claim_in(table):
+    def numbers(name, shape):
+        return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
+
+    return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
+                 table.text("tolerance"), table.text("workspace"), numbers("before", (2, 3)), numbers("after", (2, 3)), numbers("ratio", (3,)),
+                 numbers("measured", (3,)), table.text("reason"))
+
+
+def _tuples(values):
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 
 def _figures_in(table):

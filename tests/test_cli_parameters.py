@@ -35,16 +35,22 @@ def test_plan_refuses(rig_file, tmp_path, capsys, arguments, says):
 
 def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     effect = "missed_steps:strut3:jump=9e-5,time=400"
-    assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec")]) == 0
+    assert main(["simulate", str(rig_file), "--plan", "sobol:110", "--effect", effect, "--out", str(tmp_path / "rec"), "--truth",
+                 str(tmp_path / "truth.json")]) == 0
     times = table.read(tmp_path / "rec" / "frames.csv", ("frame", "t"))
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
     capsys.readouterr()
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
     said = capsys.readouterr().out
+    assert said.startswith("1 change in 110 poses from corners.csv")
     assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
-    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
-    assert "going on after 110 poses" in capsys.readouterr().out
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
+    assert "count twice" in capsys.readouterr().err
+    more = ["--machine", str(tmp_path / "truth.json"), "--plan", "sobol:8", "--seed", "9", "--out", str(tmp_path / "more")]
+    assert main(["simulate", str(rig_file), *more]) == 0
+    assert main(["online", str(tmp_path / "more"), "--state", str(state)]) == 0
+    assert "in 8 poses from corners.csv, learnt one at a time after 110 before" in capsys.readouterr().out
     state.write_text("{")
     assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 1
     assert "cut off" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """Corners of a recording -> cameras adjusted and the platform's pose in every frame, with covariance."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -73,7 +74,7 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
     """Platform poses of all frames with cameras and lenses adjusted to them, and places of markers too if asked for.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
-    free : what is adjusted, see `adjust`; progress : called with (done, of) frames located, or None
+    free : what is adjusted, see `adjust`; progress : called with (label, done, of), or None
     t : (F,) s of the frames; with it, one sighting alone counts where the frames before and after confirm its pose
     cameras : to locate frames by, where they are better known than the design has them
     Returns Measurement. Raises NotEnoughData where no frame can be solved, with the reasons.
@@ -87,10 +88,11 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = resect(views, cameras) if "poses" in free else {}
         cameras = tuple(replace(c, pose=found.get(i, c.pose)) for i, c in enumerate(cameras))
-        frames = locate_frames(views, cameras, t, progress)
+        frames = locate_frames(views, cameras, t, progress and partial(progress, "locating"))
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
         unsolved = dict(frames.unsolved)
-        fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0)
+        fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0,
+                              progress and partial(progress, "adjusting"))
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.markers
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)

@@ -41,7 +41,7 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
         return (lambda done, of: progress(label, done, of)) if progress else None
 
     def solved(corners, correlation=None):
-        return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, said("locating"), t, places)
+        return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, progress, t, places)
 
     if recording.corners is not None and not detect_anew:
         return solved(recording.corners), None

@@ -37,11 +37,12 @@ class Sorted:
     scale: float
 
 
-def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozenset(), wide=0.0):
+def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozenset(), wide=0.0, progress=None):
     """Sorted: all frames adjusted, what does not fit set aside.
 
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
     vouched : {(frame, body)} for which one sighting is enough; wide : px within which no corner is set aside at first
+    progress : called with (done, of) rounds, or None
     The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers no
     longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of its own.
     """
@@ -65,10 +66,14 @@ def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozens
         if inliers is not None and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT)):
             break
         inliers, rounds = good, rounds + 1
+        if progress:
+            progress(rounds - 1, ROUNDS)
         result = adjust(kept.take(good), state.at(solved), free, stated=stated)
         state = _spread(result.state, state, solved)
         if state.moving and gate < BLURRED:
             factor[mine] = _scatter(plain, good, result.state)
+    if progress:
+        progress(ROUNDS, ROUNDS)
     everywhere = np.zeros(len(observations), bool)
     everywhere[mine] = inliers
     scale = np.sqrt(result.cost / result.dof) if result.dof >= ENOUGH else 1.0

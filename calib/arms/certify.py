@@ -6,49 +6,84 @@ import numpy as np
 
 from calib.arms import model, profile
 from calib.arms.correction import ArmCorrection
-from calib.arms.identify import Identified, identify
+from calib.arms.identify import Identified, identify, needed, parameters
 from calib.arms.observations import of_samples
 from calib.arms.place import placed
 from calib.certificate import GAIN, HeldOut, compare, correlation, errors_of
-from calib.samples import blocks
+from calib.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
+from calib.configurations import folds, labels, ranges, witnesses
+from rig.plan import FILL, low_discrepancy
+from rig.pose import difference
 
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
+FEW = 30  # configurations below which one at a time is held out, or a tenth of them
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
+WIDTH = {"pose": 6, "position": 3}  # numbers of an observation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
-    """correction : ArmCorrection of all samples; found : Identified, its geometry
+    """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut on whole stretches; scattered : the same on single rows drawn at random, which flatter, since
-    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone"""
+    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone; all None where there are too few
+    configurations to hold any out"""
 
     correction: ArmCorrection
     found: Identified
-    held_out: HeldOut
-    scattered: HeldOut
-    geometry: HeldOut
+    label: np.ndarray
+    held_out: HeldOut | None
+    scattered: HeldOut | None
+    geometry: HeldOut | None
 
 
-def certify(samples, nominal, instrument, rng):
+def certify(samples, nominal, instrument, rng, progress=None):
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
     samples : Samples; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
-    rng : numpy Generator, for the random rows and the bootstrap. Raises NotEnoughData, RigError as `calibrate`
+    rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
+    Raises NotEnoughData, RigError as `calibrate`
     """
-    stretches = blocks(len(samples), min(STRETCHES, len(samples))) % PARTS
+    said = progress or (lambda label, done, of: None)
+    label = labels(samples.commanded, ranges(nominal))
+    parts = _parts(label)
+    said("fitting the geometry", 0, 1)
+    _enough_for_any(samples, nominal)
     start = start_of(of_samples(samples), nominal, instrument)  # a basin, not a fit: the folds' own fits forget it
-    plain, full = [_held_out(samples, nominal, instrument, (stretches, start), profiles) for profiles in (False, True)]
+    correction, found = calibrate(samples, nominal, instrument, False, start)
+    said("fitting the geometry", 1, 1)
+    if not _enough(samples, found, label, parts):
+        return Certified(correction, found, label, None, None, None)
+    plain, full = [_held_out(samples, nominal, instrument, (parts, start), profiles, said) for profiles in (False, True)]
     scale = _spread(plain[1])
     gain = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     gain = gain[0] - gain[1]
     pays = bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
-    rows = rng.permutation(np.arange(len(samples)) % PARTS)
-    scattered = _held_out(samples, nominal, instrument, (rows, start), pays)
-    correction, found = calibrate(samples, nominal, instrument, pays, start)
+    rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
+    scattered = _held_out(samples, nominal, instrument, (rows, start), pays, said)
+    if pays:
+        correction, found = calibrate(samples, nominal, instrument, True, start)
     covariance = samples.total_covariance()
-    held = [compare(*errors, covariance, rng) for errors in (full if pays else plain, scattered, plain)]
-    return Certified(correction, found, *held)
+    held = [compare(*errors, covariance, rng, label) for errors in (full if pays else plain, scattered, plain)]
+    return Certified(correction, found, label, *held)
+
+
+def _parts(label):
+    """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by one or a tenth."""
+    count = label.max() + 1
+    return folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
+
+
+def _enough_for_any(samples, nominal):
+    """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
+    kind = of_samples(samples).kind
+    needed(len(samples), WIDTH[kind], int(parameters(nominal, kind).sum()))
+
+
+def _enough(samples, found, label, parts):
+    """Whether there are LEAST configurations, and more equations than parameters without the largest part."""
+    left = len(samples) - np.bincount(parts).max()
+    return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
 
 
 def calibrate(samples, nominal, instrument, profiles, start=None):
@@ -96,15 +131,43 @@ def model_covariance(calibration, commands):
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
 
 
-def _held_out(samples, nominal, instrument, plan, profiles):
+def _held_out(samples, nominal, instrument, plan, profiles, said):
     part, start = plan
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
     for k in np.unique(part):
         correction, _ = calibrate(samples.take(part != k), nominal, instrument, profiles, start)
         before[part == k], after[part == k] = errors_of(correction, samples.take(part == k))
+        said("holding configurations out" + (", joints corrected" if profiles else ""), int(k) + 1, part.max() + 1)
     return before, after
 
 
 def _spread(errors):
     """(6,) a robust scale of positions and of rotations, for comparing two fits."""
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
+
+
+def promised(samples, done: Certified, rng) -> Claim:
+    """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration once."""
+    found, correction = done.found, done.correction
+    good = found.inliers
+    label = np.unique(done.label[good], return_inverse=True)[1]
+    kept = samples.take(good)
+    each = witnesses(kept, label, model.joint_jacobian(kept.commanded, found.arm))
+    words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
+    told, asked = int(found.rank.free.sum()), found.rank.asked
+    tolerance = "what is told at all is fitted without one"
+    if done.held_out is None:
+        return too_few(len(each), told, told, asked, tolerance, words)
+    seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
+    q = low_discrepancy(seen, PLACES, FILL)
+    T = correction.predict(q)
+    scatter = np.resize(found.scatter, 6) * (np.arange(6) < len(found.scatter))
+    workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T),
+                          (scatter**2).reshape(2, 3).sum(axis=1), words)
+    observed = of_samples(each)
+    again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted)
+    whitened = np.linalg.solve(np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None])[again.inliers]
+    freedom = max(whitened.size - int(again.rank.free.sum()), 1)
+    draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
+    draws *= np.sqrt(dispersion(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
+    return claimed(workspace, draws, each, each.common.shape[2] > 0, rng, distinct=len(each), determined=told, better=told, unknowns=asked, tolerance=tolerance)

@@ -79,8 +79,7 @@ def identify(observations, nominal, free=None, farthest=FARTHEST):
     """
     free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
     k = observations.residuals(nominal).shape[1]
-    if k * len(observations) <= free.sum():
-        raise NotEnoughData(f"{len(observations)} observations give {k * len(observations)} equations, too few for {free.sum()} parameters")
+    needed(len(observations), k, int(free.sum()))
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
     if far > farthest:
         raise RigError(f"what was measured is {far * 1e3:.0f} mm (median) from where the owner's model has it: are these the joint angles of these "
@@ -100,6 +99,13 @@ def identify(observations, nominal, free=None, farthest=FARTHEST):
     covariance = np.zeros((len(free), len(free)))
     covariance[np.ix_(rank.free, rank.free)] = fit.covariance
     return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total)
+
+
+def needed(count, k, free):
+    """Raises NotEnoughData, with how many it takes, where `count` observations of k numbers each are too few for `free` parameters."""
+    if k * count <= free:
+        raise NotEnoughData(f"{count} observations give {k * count} equations, too few for {free} parameters; it takes {free // k + 1} different "
+                            f"poses at the least, better {3 * (free // k + 1)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,20 +7,12 @@ from matplotlib.figure import Figure
 
 from calib.arms import model
 from calib.certificate import errors_of
-from calib.report import before_after, coverage, flat, page, table
+from calib.report import before_after, coverage, flat, page, table, worth
 
 
 def calibration_page(path, recording, calibration, samples, done):
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
-    held = done.held_out
-    floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
-    rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
-                                                ("corrected, random rows", done.scattered.after))]
-    parts = [f"<p>Held-out poses (a third at a time, whole stretches in turn, N = {held.after.n}): the mean position error falls from "
-             f"<b>{held.before.mean[0] * 1e3:.3f} mm</b> to <b>{held.after.mean[0] * 1e3:.4f} mm</b>; by RMS {held.ratio[0]:.1f} times (95 % "
-             f"interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}). The measured poses themselves are uncertain by {floor}. "
-             "Rows drawn at random flatter: their neighbours in time were fitted.</p>",
-             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows),
+    parts = [*worth(calibration.claim), *_held(done),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
              before_after(*errors_of(calibration.correction, samples), samples.frame),
              "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
@@ -29,6 +21,19 @@ def calibration_page(path, recording, calibration, samples, done):
              "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+
+
+def _held(done):
+    held = done.held_out
+    if held is None:
+        return []
+    floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
+    rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
+                                                ("corrected, random rows", done.scattered.after))]
+    return [f"<p>Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct configurations): the "
+            f"mean position error falls from {held.before.mean[0] * 1e3:.3f} mm to {held.after.mean[0] * 1e3:.4f} mm. The measured poses themselves "
+            f"are uncertain by {floor}. Rows drawn at random flatter: their neighbours in time were fitted.</p>",
+            table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
 
 
 def _figures(f):

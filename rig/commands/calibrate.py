@@ -1,5 +1,6 @@
 """rig calibrate REC --out calibration.json."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved, read_recording
@@ -17,6 +18,8 @@ def arguments(parser):
 def run(arguments):
     """Calibrate a recording and write the calibration and its report."""
 
+    progress = Progress()
+    progress("reading the recording", 0, 1)
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
@@ -25,62 +28,81 @@ def run(arguments):
 
     from calib.pipeline import sample_recording
 
-    sampled = sample_recording(recording, progress=Progress())
+    sampled = sample_recording(recording, progress=progress)
     rng = np.random.default_rng(SEED)
     if recording.design.mechanism.kind == "arm":
         if arguments.joint:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
-        _arm(recording, sampled, (out, page), arguments.argv, rng)
+        _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
-        _hexapod(recording, sampled, (out, page), arguments.argv, rng, arguments.joint)
+        _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
-def _hexapod(recording, sampled, out, argv, rng, joint):
-    from calib.certificate import certify
+def _hexapod(recording, sampled, out, argv, rng, progress, joint):
+    from calib.certificate import certify, promised
     from calib.report import calibration_page
+    from calib.verdict import verdict
 
-    correction, found, held_out = certify(sampled.samples, recording.design.mechanism, rng)
+    samples = sampled.samples
+    done = certify(samples, recording.design.mechanism, rng, progress)
     if joint:
         from calib.joint import refine
 
-        correction, found = refine(sampled, recording.design, correction, found)
-    calibration = _stored(out[0], recording, sampled, argv, correction, found, held_out)
+        progress("solving cameras and geometry together", 0, 1)
+        done = replace(done, **dict(zip(("correction", "found"), refine(sampled, recording.design, done.correction, done.found))))
+    claim = promised(samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, argv, done, claim)
     if out[1]:
-        calibration_page(out[1], recording, calibration, sampled.samples, found)
-    print(f"{len(sampled.samples)} poses from {sampled.source}, {found.inliers.sum()} of them agree with one geometry")
-    print_comparison(held_out, "held-out poses (whole stretches in turn)")
-    kept = [i + 1 for i, part in enumerate(correction.remainder) if part is not None]
-    print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
-                                     else "nothing that pays on held-out poses"))
-
-
-def _arm(recording, sampled, out, argv, rng):
-    from calib.arms.certify import certify
-    from calib.arms.report import calibration_page
-
-    done = certify(sampled.samples, recording.design.mechanism, recording.design.instrument, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done.correction, done.found, done.held_out)
-    if out[1]:
-        calibration_page(out[1], recording, calibration, sampled.samples, done)
-    print(f"{len(sampled.samples)} poses from {sampled.source}, {done.found.inliers.sum()} of them agree with one geometry")
-    print("\n".join(done.found.rank.report()))
-    print_comparison(done.held_out, "held-out poses (a third at a time, whole stretches)")
+        progress("drawing the page", 0, 1)
+        calibration_page(out[1], recording, calibration, samples, done.found)
+    progress.close()
+    print("\n".join(verdict(claim)))
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
-    print("beyond the geometry: " + (f"joints {', '.join(map(str, kept))} corrected over the configuration space; the geometry alone leaves "
-                                     f"{done.geometry.after.mean[0] * 1e3:.4f} mm mean on the same poses" if kept
-                                     else "nothing that pays on held-out poses"))
-    print(f"the same with single rows held out at random, which flatters: {done.scattered.after.mean[0] * 1e3:.4f} mm mean, "
-          f"{done.scattered.after.position[0] * 1e3:.4f} RMS")
+    print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
+                                     else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
+    _print_poses(sampled, done)
 
 
-def _stored(out, recording, sampled, argv, correction, found, held_out):
+def _arm(recording, sampled, out, argv, rng, progress):
+    from calib.arms.certify import certify, promised
+    from calib.arms.report import calibration_page
+    from calib.verdict import verdict
+
+    done = certify(sampled.samples, recording.design.mechanism, recording.design.instrument, rng, progress)
+    claim = promised(sampled.samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, argv, done, claim)
+    if out[1]:
+        progress("drawing the page", 0, 1)
+        calibration_page(out[1], recording, calibration, sampled.samples, done)
+    progress.close()
+    print("\n".join(verdict(claim)))
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
+        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        print("beyond the geometry: " + (f"joints {', '.join(map(str, kept))} corrected over the configuration space; the geometry alone leaves "
+                                         f"{done.geometry.after.mean[0] * 1e3:.4f} mm mean on the same poses" if kept
+                                         else "nothing that pays on held-out poses"))
+        print(f"the same with single rows held out at random, which flatters: {done.scattered.after.mean[0] * 1e3:.4f} mm mean, "
+              f"{done.scattered.after.position[0] * 1e3:.4f} RMS")
+    print("\n".join(done.found.rank.report()))
+    _print_poses(sampled, done)
+
+
+def _print_poses(sampled, done):
+    print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
+          "them agree with one geometry")
+
+
+def _stored(out, recording, sampled, argv, done, claim):
     from calib import store
 
-    frames = sampled.samples.frame
+    frames, found = sampled.samples.frame, done.found
     calibration = store.Calibration(
-        correction, found.covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        held_out, store.provenance(recording, argv, SEED, sampled.source == "images"))
+        done.correction, found.covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
+        done.held_out, store.provenance(recording, argv, SEED, sampled.source == "images"), claim)
     store.save(out, calibration)
     return calibration

@@ -25,6 +25,8 @@ def run(arguments):
     """Diagnose a recording and write what was found."""
     from rig.effects.parse import asked
 
+    progress = Progress()
+    progress("reading the recording", 0, 1)
     recording = read_recording(arguments)
     for text in (arguments.only or []) + arguments.without:
         asked(text, recording.design)
@@ -38,14 +40,14 @@ def run(arguments):
         from calib.diagnose import arm_result as result
         from calib.diagnose.arm_page import diagnosis_page
 
-        found = arm.diagnose(recording, arguments.only, tuple(arguments.without), Progress())
+        found = arm.diagnose(recording, arguments.only, tuple(arguments.without), progress)
         result.save(out, found, recording)
         diagnosis_page(out / "diagnosis.html", found)
     else:
         from calib.diagnose import result
         from calib.diagnose.page import diagnosis_page
 
-        found = result.diagnose(recording, arguments.only, tuple(arguments.without), Progress(), calibration)
+        found = result.diagnose(recording, arguments.only, tuple(arguments.without), progress, calibration)
         result.save(out, found, recording)
         diagnosis_page(out / "diagnosis.html", recording, found)
     tree = result.to_dict(found)

@@ -27,6 +27,8 @@ def run(arguments):
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
     if hold - {"poses", "lenses"}:
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
+    progress = Progress()
+    progress("reading the recording", 0, 1)
     recording = read_recording(arguments)
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
@@ -41,7 +43,7 @@ def run(arguments):
     from vision.recorded import measure_recording
     from vision.targets import marker_map
 
-    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, Progress(), arguments.places)
+    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, progress, arguments.places)
     held, statement = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment).lines()
     moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
     wrong = suspects(measured, marker_map(recording.design), collected, image_reader(recording))

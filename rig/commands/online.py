@@ -23,6 +23,8 @@ def arguments(parser):
 def run(arguments):
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
 
+    progress = Progress()
+    progress("reading the recording", 0, 1)
     recording = read_recording(arguments)
     mechanism = recording.design.mechanism
     if mechanism.kind != "hexapod":
@@ -42,41 +44,48 @@ def run(arguments):
     of = marks(recording)
     learnt = learner.data if goes_on else set() if calibration is None else set(calibration.provenance.get("data", ()))
     fresh = not_learnt(recording, of, learnt)
-    sampled = sample_recording(recording, progress=Progress())
+    sampled = sample_recording(recording, progress=progress)
     samples = sampled.samples.take(np.isin(sampled.samples.frame, fresh))
     if not len(samples):
         raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
     shared = samples.common.shape[2]
+    before = learner.number if goes_on else 0
     if goes_on:
         learner.new_session(shared)
-        print(f"going on after {learner.number} poses")
     elif calibration is not None:
         learner = Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance)
     else:
         learner = Online(mechanism, shared)
     learner.data = learnt | set(flat(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
-    updates = [learner.update(x, T, C, B) for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common)]
+    updates = []
+    for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
+        updates.append(learner.update(x, T, C, B))
+        progress("learning", len(updates), len(samples))
+    count = sum(len(update.changes) for update in updates)
+    sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
+    print(f"{_counted(count)} in {len(samples)} poses from {sampled.source}, learnt one at a time" + (f" after {before} before" if before else "")
+          + f"; joints and zeros are known to {sigma * 1e3:.4f} mm RMS")
+    if count > MANY:
+        print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
     first = updates[0].number
     for update in updates:
         for change in update.changes:
             print(f"frame {samples.frame[update.number - first]}: {said(change, samples.frame[max(change.onset - first, 0)])}")
         for number in update.dropped:
             print(f"frame {samples.frame[number - first]}: its pose agrees with no other and is left out")
-    count = sum(len(update.changes) for update in updates)
-    if count > MANY:
-        print(f"{count} changes in {len(samples)} poses are no few steps: something acts on the struts or the measurement that the geometry lacks")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
     moved = learner.p - parameters(mechanism)
-    sigma = np.sqrt(np.diag(learner.covariance))
-    print(f"{len(samples)} poses from {sampled.source}, one at a time: innovations are {innovation:.3f} of what was expected "
-          "(1 where nothing is left out)")
-    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml, each known to "
-          f"{np.sqrt(np.mean(sigma**2)) * 1e3:.4f} mm RMS")
+    print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out); joints and zeros moved by "
+          f"{np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(sampled.measurement)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
+
+
+def _counted(changes):
+    return "nothing jumped" if not changes else f"{changes} change{'s' if changes > 1 else ''}"
 
 
 def not_learnt(recording: "Recording", of: "Marks", learnt: set[str]) -> list[int]:

@@ -1,6 +1,8 @@
 """What the commands share: where results go, bars on a terminal, and figures in mm and mrad."""
 
 import sys
+import threading
+import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,26 +16,39 @@ SEED = 0  # of the bootstrap; results are the same from run to run
 
 
 class Progress:
-    """Bars on a terminal, nothing in a pipe: called with (label, done, of)."""
+    """Bars on a terminal, nothing in a pipe and nothing in the first second: called with (label, done, of)."""
 
-    def __init__(self):
-        self.bar, self.label = None, None
+    def __init__(self, silent: float = 1.0):
+        """silent : s, from now, in which nothing is shown: who is quick needs no bar"""
+        self.bar, self.label, self.timer, self.from_then = None, None, None, time.monotonic() + silent
 
-    def __call__(self, label, done, of):
+    def __call__(self, label: str, done: int, of: int) -> None:
         from tqdm import tqdm
 
         if label != self.label:
             self.close()
-            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=sys.stderr), label
+            wait = max(self.from_then - time.monotonic(), 0.0)
+            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=sys.stderr, delay=wait), label
+            if wait and not self.bar.disable:  # a bar of its own accord shows only once something is done
+                self.timer = threading.Timer(wait, _show, (self.bar,))
+                self.timer.daemon = True
+                self.timer.start()
         self.bar.update(done - self.bar.n)
         if done >= of:
             self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Take the bar away."""
+        if self.timer is not None:
+            self.timer.cancel()
         if self.bar is not None:
             self.bar.close()
-        self.bar, self.label = None, None
+        self.bar, self.label, self.timer = None, None, None
+
+
+def _show(bar) -> None:
+    bar.delay = 0  # shown from here on, so there is something to clear
+    bar.refresh()
 
 
 def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
@@ -65,14 +80,14 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
 def print_comparison(held, title):
     """Print a HeldOut as a table in mm and mrad."""
     names = ("mean", "RMS", "95 %", "max")
-    print(f"{title}, N = {held.after.n}:")
+    print(f"{title}, N = {held.after.n}, {held.configurations} distinct configurations:")
     print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
     print(f"{'':14}" + "".join(f"{name:>10}" for name in names) + "   " + "".join(f"{name:>10}" for name in names))
     for name, figures in (("owner's model", held.before), ("corrected", held.after)):
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
     rotation = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
-    print(f"{held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses themselves are "
+    print(f"on these poses {held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses themselves are "
           f"uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
 
 

@@ -21,6 +21,8 @@ def run(arguments):
     from calib import store
     from rig import recording as recordings
 
+    progress = Progress()
+    progress("reading the recording", 0, 1)
     calibration = store.load(arguments.calibration)
     wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
     recording = read_recording(arguments)
@@ -28,20 +30,25 @@ def run(arguments):
     import numpy as np
 
     from calib.certificate import compare, errors_of
+    from calib.configurations import labels, ranges
     from calib.pipeline import sample_recording
+    from calib.verdict import verified
 
-    sampled = sample_recording(recording, progress=Progress())
+    sampled = sample_recording(recording, progress=progress)
     samples = sampled.samples
-    held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED))
+    label = labels(samples.commanded, ranges(calibration.correction.nominal))
+    held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED), label)
+    progress.close()
     same = store.seen_before(calibration, recording)
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
     if arguments.json:
-        print(json.dumps(store.nulls(_verification(held, same, sampled, driven)), indent=1))
+        print(json.dumps(store.nulls(_verification(held, same, sampled, driven, calibration.claim)), indent=1))
         return
     if same:
         print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
               "figures are not held out", file=sys.stderr)
     if driven is None:
+        print("no verdict: these poses were fitted" if same else verified(held, calibration.claim))
         print_comparison(held, f"{samples.frame.size} poses from {sampled.source}")
     else:
         figures, stated = driven
@@ -68,18 +75,23 @@ def _driven(calibration, recording, samples, wanted):
     return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
 
 
-def _verification(held, same, sampled, driven):
+def _verification(held, same, sampled, driven, claim):
+    from calib.verdict import kept
+
     def side(figures):
         names = ("rms", "p95", "max", "mean")
         position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])
         return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
 
     unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "frames_used_in_fitting": same, "n": held.after.n,
+    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "frames_used_in_fitting": same,
+            "n": held.after.n,
             "before": side(held.before), "after": side(held.after),
             "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
-            "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]},
+            "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]}, "configurations": held.configurations,
             "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(unsolved.items())]}
+    if claim is not None and claim.after is not None:
+        tree["claim"] = {"after": claim.after[0], "ratio": claim.ratio, "kept": kept(held, claim)}
     if driven is not None:
         tree["wanted"] = {**side(driven[0]), "stated_uncertainty": {"position": driven[1][0], "rotation": driven[1][1]}}
     return tree

@@ -26,7 +26,7 @@ def test_ratio_comes_with_an_interval():
 
 def test_held_out_poses_are_as_good_as_they_are_measured(design):
     samples, _ = sampled(design, 1, count=200)
-    _, _, held = certify(samples, design.mechanism, np.random.default_rng(0))
+    held = certify(samples, design.mechanism, np.random.default_rng(0)).held_out
     assert held.ratio[0] > 50
     assert held.after.position[0] < 1.3 * held.floor[0]
 
@@ -34,8 +34,8 @@ def test_held_out_poses_are_as_good_as_they_are_measured(design):
 def test_a_remainder_that_does_not_pay_is_dropped(design):
     """A drift in time looks like a function of the configuration to the samples it was fitted on, and to no others."""
     samples, _ = sampled(design, 2, count=100, deviation=lambda c: np.linspace(0, 4e-5, len(c))[:, None] * np.array([0, 1.0, 0, 0, 0, 0]))
-    correction, _, held = certify(samples, design.mechanism, np.random.default_rng(0))
-    assert correction.remainder == (None,) * 6 and held.after.n == 100
+    done = certify(samples, design.mechanism, np.random.default_rng(0))
+    assert done.correction.remainder == (None,) * 6 and done.held_out.after.n == 100
 
 
 def test_a_remainder_that_pays_is_kept(design):
@@ -44,8 +44,9 @@ def test_a_remainder_that_pays_is_kept(design):
         out[:, 3] = 8e-5 * np.sin((c[:, 3] - 0.47) / 0.015)
         return out
 
-    correction, _, held = certify(sampled(design, 3, count=250, deviation=bowed)[0], design.mechanism, np.random.default_rng(0))
-    assert [part is not None for part in correction.remainder] == [False, False, False, True, False, False]
+    done = certify(sampled(design, 3, count=250, deviation=bowed)[0], design.mechanism, np.random.default_rng(0))
+    held = done.held_out
+    assert [part is not None for part in done.correction.remainder] == [False, False, False, True, False, False]
     assert held.after.position[0] < 1.5 * held.floor[0]
 
 

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
-from calib.identify import identify, loop_jacobian, parameters, pose_jacobian, with_parameters
-from rig.errors import NotEnoughData
+from calib.identify import PRIOR, identify, loop_jacobian, parameters, pose_jacobian, with_parameters
+from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference, exp
 from tests.calib.designs import worst_jacobian
@@ -81,8 +82,6 @@ def test_a_pose_that_is_wrong_is_left_out(design):
     samples, true = sampled(design, 3)
     T = samples.T_base_platform.as_matrix().copy()
     T[17, :3, 3] += [2e-3, 0, 1e-3]
-    from scipy.spatial.transform import RigidTransform
-
     found = identify(replace(samples, T_base_platform=RigidTransform.from_matrix(T)), design.mechanism)
     assert np.flatnonzero(~found.inliers).tolist() == [17]
     clean = identify(samples.take(np.arange(120) != 17), design.mechanism)
@@ -97,10 +96,24 @@ def test_scatter_of_one_strut_is_told_from_the_poses_noise(design):
     assert not identify(sampled(design, 4)[0], design.mechanism).scatter.any()
 
 
-def test_too_few_poses_are_refused(design):
-    samples, _ = sampled(design, 1)
-    with pytest.raises(NotEnoughData, match="6 poses cannot determine 42"):
-        identify(samples.take(np.arange(6)), design.mechanism)
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_few_poses_move_what_they_tell_and_leave_the_rest(design, count):
+    samples, true = sampled(design, 1)
+    few = samples.take(np.arange(count))
+    found = identify(few, design.mechanism, prior=np.full(42, 3e-4))
+    assert (np.linalg.svd(found.root * PRIOR, compute_uv=False) > 1).sum() == 6 * count and not found.scatter.any()
+    stated, told = np.linalg.norm(parameters(true) - parameters(design.mechanism)), parameters(found.hexapod) - parameters(design.mechanism)
+    assert np.linalg.norm(parameters(true) - parameters(found.hexapod)) < stated and np.linalg.norm(told) < stated
+    left = found.residuals / np.sqrt(np.einsum("nii->ni", found.residual_covariance))
+    assert np.abs(left).max() < 1
+
+
+def test_poses_that_disagree_with_each_other_are_refused(design):
+    samples, _ = sampled(design, 1, count=20)
+    T = samples.T_base_platform.as_matrix()
+    T[::2, 0, 3] += np.linspace(0.05, 0.15, 10)
+    with pytest.raises((NotEnoughData, RigError)):
+        identify(replace(samples, T_base_platform=RigidTransform.from_matrix(T)), design.mechanism)
 
 
 @pytest.mark.slow
