@@ -49,7 +49,7 @@ class Claim:
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
     """At m places: jacobian (m, 6, k) of the pose's tangent with the parameters; offset (m, 6) pose error of the owner's model against the
-    corrected one; own (2,) m^2 and rad^2, mean square of what no model corrects; words : what is meant by it."""
+    corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or draws of it; words : what is meant by it."""
 
     jacobian: np.ndarray
     offset: np.ndarray
@@ -64,7 +64,7 @@ class Workspace:
             Q, m = J.T @ J, len(self.jacobian)
             after = np.einsum("di,ij,dj->d", draws, Q, draws)
             before = after + 2 * draws @ (J.T @ offset) + offset @ offset
-            out[:, :, c] = np.stack([before, after]) / m + self.own[c]
+            out[:, :, c] = np.stack([before, after]) / m + self.own[..., c]
         return out
 
 
@@ -127,7 +127,7 @@ def promise(found, tolerance: Tolerance, correction, samples, rng):
     module = mechanisms.of(nominal)
     offset = difference(T, module.forward(commands, nominal))
     to_pose = np.linalg.inv(module.jacobian(T, fitted))
-    own = np.einsum("mij,j,mij->mi", to_pose, found.scatter**2, to_pose).mean(axis=0).reshape(2, 3).sum(axis=1)
+    own = _scatters(found, rng) @ (to_pose**2).mean(axis=0).reshape(2, 3, 6).sum(axis=1).T
     workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
     return claimed(workspace, draws, samples, samples.common.shape[2] > 0, rng, distinct=distinct, determined=determined, better=better,
@@ -152,6 +152,15 @@ def _machines(found, tolerance, nominal, rng):
     L = np.linalg.cholesky(H)
     mean = np.linalg.solve(H, (tolerance.right / inflated[:, None])[..., None])[..., 0]
     return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]
+
+
+def _scatters(found, rng):
+    """(DRAWS, 6) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
+    count = int(found.inliers.sum())
+    freedom = max(count - 7, 1)
+    noise = np.einsum("nii->ni", found.residual_covariance)[found.inliers].mean(axis=0)
+    seen = (found.scatter**2 + noise) * freedom / rng.chisquare(freedom, (DRAWS, 6))
+    return np.where(found.scatter > 0, np.maximum(seen - noise, 0), 0)
 
 
 def _tolerance_in_words(tolerance):

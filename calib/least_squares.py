@@ -16,6 +16,7 @@ from rig.errors import NotEnoughData, RigError
 MAX_ITERATIONS = 30
 CHUNK = 2048  # rows reduced at a time, so that the work stays in the cache
 SETTLED = 1e-5  # standard deviations; the length of the last step, all parameters together
+ROUNDED = 1e-3  # standard deviations; a step so short that is no shorter than half the last one is the residuals' rounding
 GATE = 1e-9  # share of honest blocks that lie beyond and are lost
 
 
@@ -63,13 +64,15 @@ def fit(linearise, start, mean, sigma, basis=None, inliers=None, robust=False):
     p, spans = np.array(start, float), np.eye(len(start)) if basis is None else np.asarray(basis, float)
     mean, weight = np.asarray(mean, float), 1 / np.asarray(sigma, float)
     linear = linearise(p)
-    inliers = np.ones(len(linear.residual), bool) if inliers is None else inliers
+    inliers, last = np.ones(len(linear.residual), bool) if inliers is None else inliers, np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
         data = _triangle(linear, inliers, basis)
         step, z, R, cost = _step(data, linear.common.shape[2], weight, mean - p, spans)
         p = p + spans @ step
         linear = linearise(p)
-        if np.linalg.norm(R @ step) > SETTLED:
+        length, before = np.linalg.norm(R @ step), last
+        last = length
+        if length > SETTLED and not before / 2 < length < ROUNDED:
             continue
         left = linear.residual - linear.common @ z
         kept = _agreeing(left, inliers) if robust else inliers
@@ -78,7 +81,7 @@ def fit(linearise, start, mean, sigma, basis=None, inliers=None, robust=False):
             c = linear.common.shape[2]
             return Fit(p, spans @ half @ half.T @ spans.T, z, data[c:-1, c:-1] @ spans.T, left, inliers, cost, iteration)
         inliers = kept
-    raise RigError(f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {np.linalg.norm(R @ step):.3g} sigma")
+    raise RigError(f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma")
 
 
 def _triangle(linear, inliers, basis):

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from calib.arms import model
 from calib.certificate import errors_of
-from calib.report import before_after, coverage, flat, page, table, worth
+from calib.report import before_after, coverage, origin, page, table, worth
 
 
 def calibration_page(path, recording, calibration, samples, done):
