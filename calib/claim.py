@@ -30,7 +30,7 @@ class Claim:
     better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words; workspace : what is meant, in words
     before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
     95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
-    low, high), None where no factor is claimed; reason : why none is, or ""
+    low, high), None where no factor is claimed; reason : why none is, or None
     """
 
     distinct: int
@@ -43,7 +43,7 @@ class Claim:
     after: tuple[tuple[float, ...], ...] | None
     ratio: tuple[float, ...] | None
     measured: tuple[float, ...] | None
-    reason: str = ""
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

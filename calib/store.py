@@ -193,7 +193,9 @@ def _covariance_in(tree, count):
 
 
 def _spread_in(tree, key):
-    values = tree.array(key, (6,))
+    values = tree.array(key, (None,))
+    if len(values) not in ((3, 6) if key == "pose_scatter" else (6,)):  # 3: an arm whose rotations were never measured
+        tree.fail(f"{key} must have 6 numbers, got {len(values)}", key)
     if (values < 0).any():
         tree.fail(f"{key} must not be negative, got {values.tolist()}", key)
     return values
@@ -213,7 +215,7 @@ def _claim_in(table):
 
     return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
                  table.text("tolerance"), table.text("workspace"), numbers("before", (2, 3)), numbers("after", (2, 3)), numbers("ratio", (3,)),
-                 numbers("measured", (3,)), table.text("reason"))
+                 numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"))
 
 
 def _tuples(values):
