@@ -1,5 +1,6 @@
 """The operator's loop: move, settle, grab, journal; every row is on disk before the next move, and no move is sent twice unread."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,7 @@ class Operator:
     def __init__(self, bench: Bench, planned: tuple[Step, ...], journal: Journal, axes: tuple[str, ...], origin: float, watcher: Watcher) -> None:
         self.bench, self.planned, self.watcher = bench, planned, watcher
         self._journal, self._origin, self._folder = journal, origin, journal.path.parent
-        self._growing = Growing(self._folder, axes, journal.rows)
+        self._growing, self._writing = Growing(self._folder, axes, journal.rows), threading.RLock()
 
     def now(self) -> float:
         """s on the recording's clock."""
@@ -115,14 +116,15 @@ class Operator:
         return found
 
     def remark(self, text: str) -> None:
-        """Have something that the operator is told in the journal."""
+        """Have something that the operator is told in the journal; from any thread."""
         self.write(Remark(self.now(), text))
 
     def write(self, row: Row) -> None:
-        """A row on disk, then in the recording's files, then before those who look on."""
-        self._journal.append(row)
-        self._growing.add(row)
-        self.watcher.happened(row)
+        """A row on disk, then in the recording's files, then before those who look on; from any thread."""
+        with self._writing:
+            self._journal.append(row)
+            self._growing.add(row)
+            self.watcher.happened(row)
 
     def _read(self) -> tuple[float, ...]:
         return tuple(float(value) for value in self.bench.machine.lengths())
@@ -176,8 +178,8 @@ class Operator:
         names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
         for camera, frame in frames.items():
             bench.save(self._folder / names[camera], frame.image)
-        for camera in frames:
-            sync_folder((self._folder / names[camera]).parent)
+        for folder in {place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents}:
+            sync_folder(folder)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()
         self.write(Exposed(t, index, number, tuple(float(f.t_sigma) for f in frames.values()), tuple(frames), tuple(names.values())))
         goal = self.planned[index].goal

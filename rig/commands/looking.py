@@ -76,6 +76,7 @@ class Looking:
                  stop_on: frozenset[str], halt: Callable[[], object], displays: list[Display]) -> None:
         self.design, self._clock, self._live, self._learner, self._halt = design, clock, live, learner, halt
         self._stop_on, self.displays, self._reason = stop_on, displays, ""
+        self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if design.insitu is not None and design.mechanism.kind == "hexapod" else None
         self._read: np.ndarray | None = None
@@ -99,7 +100,7 @@ class Looking:
         elif isinstance(row, Resumed):
             self.update(phase=row.found, lengths=np.array(row.position))
         elif isinstance(row, Remark):
-            self.update(phase=row.text)
+            return  # alarms are shown as such
         elif isinstance(row, Ended):
             self.update(phase="done" if not row.reason else f"ended: {row.reason}", ended=row.reason, left=0.0)
         elif isinstance(row, Readings):
@@ -133,6 +134,7 @@ class Looking:
     def warn(self, alarm: Alarm) -> None:
         """Say what is wrong, and stop the run where that was asked for."""
         self.update(alarms=(*self.view.alarms[1 - LATEST :], alarm))
+        self.note(f"{alarm.kind}: {alarm.text}")
         if alarm.kind in self._stop_on:
             self.ask_stop(alarm.text)
 

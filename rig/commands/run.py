@@ -134,7 +134,8 @@ def _run(arguments, design, planned, settle, options):
             _same(journal.rows[0], planned, arguments)
         shutter = shutter_of(design, clock)
         stack.callback(shutter.close)
-        driver = stack.enter_context(driving(design, arguments.trace, print, clock))
+        told = [print]  # who takes what the driver says: the terminal, then the journal too
+        driver = stack.enter_context(driving(design, arguments.trace, lambda text: [tell(text) for tell in told], clock))
         status = settled_status(driver, clock)
         if arguments.no_home and not status.known:
             driver.trust()
@@ -153,6 +154,7 @@ def _run(arguments, design, planned, settle, options):
         looking = looking_of(arguments, design, planned, status.lengths, clock, stop_on, driver.stop)
         looking.displays += stack.enter_context(displays_of(arguments, looking))
         operator = Operator(bench, planned, journal, design.mechanism.axes, origin, looking)
+        looking.note, told[:] = operator.remark, [operator.remark, lambda text: looking.update(phase=text)]
         try:
             if not fresh:
                 print(f"going on: {operator.go_on(homed=homes)}")

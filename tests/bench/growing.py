@@ -1,0 +1,111 @@
+"""How soon after its exposure a frame's pose and residuals are on the page: three cameras of 1280 x 1024, everything that a run does."""
+
+import json
+import tempfile
+import threading
+import time
+import urllib.request
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from calib.watch import Learner
+from rig import design_file, layout, recording
+from rig.cameras.settled import settling
+from rig.cameras.source import Frame
+from rig.cameras.together import Shutter
+from rig.clock import SystemClock
+from rig.commands.bench import save_image
+from rig.commands.looking import Looking
+from rig.commands.page import Page
+from rig.design import Sensor
+from rig.journal import Began, Journal
+from rig.operate import Bench, Operator
+from rig.plan import build
+from rig.steps import steps
+from synthetic import simulation, world
+from synthetic.pictures import Images
+from vision.collect import read_image
+from vision.live import TAUGHT, Live
+
+FRAMES = 20
+TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other
+
+
+class _Source:
+    """A camera that has its images already. waiting : of them, in order; taken : {number of the frame: s when it was handed over}"""
+
+    can_set_exposure = False
+
+    def __init__(self, name, waiting, clock, taken):
+        self.name, self._waiting, self._clock, self._taken = name, iter(waiting), clock, taken
+
+    def grab(self):
+        image = next(self._waiting)
+        now = self._clock.now()
+        self._taken[self.name].append(now)
+        return Frame(image, now, 1e-4)
+
+    def close(self):
+        pass
+
+
+def main():
+    """Print the median and the greatest delay."""
+    with tempfile.TemporaryDirectory() as folder:
+        delays = _run(Path(folder))
+    known = [delay for frame, delay in sorted(delays.items()) if frame >= TAUGHT[0] and frame not in TAUGHT]
+    first = [delay for frame, delay in sorted(delays.items()) if frame < TAUGHT[0]]
+    print(f"from exposure to pose and residuals on the page: median {np.median(known):.3f} s, at most {max(known):.3f} s of {len(known)} frames; while images "
+          f"are searched whole {np.median(first):.3f} s, with an adjustment of the cameras before it "
+          f"{max(delay for frame, delay in delays.items() if frame in TAUGHT):.3f} s")
+
+
+def _run(folder):
+    """{frame: s from its exposure to its event at the page}"""
+    text = layout.layout(0.3, cameras=3, width=1280, height=1024)
+    (folder / "rig.toml").write_text(text)
+    design, rng, plan = design_file.load(folder / "rig.toml"), np.random.default_rng(1), f"sobol:{FRAMES}"
+    done = simulation.simulate(world.draw(design, rng), build(design, plan), rng)
+    simulation.write(done, folder / "drawn", text, rng, images=Images(Sensor(blur=0.5, read_noise=1.0)))
+    read, clock = recording.load(folder / "drawn"), SystemClock()
+    e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
+    images = {c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name] for c in design.cameras}
+    warm = Live(design)  # compiled functions are loaded once, as while homing
+    warm.take(0, {name: own[0] for name, own in images.items()})
+    warm.close()
+    shutter = Shutter(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
+    planned = steps(build(design, plan))
+    start = planned[0].goal
+    machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
+    bench = Bench(machine, shutter, clock, settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
+    looking = Looking(design, planned, start, clock, Live(design), Learner(design.mechanism), frozenset(), lambda: None, [])
+    (folder / "rec").mkdir()
+    with Page(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:
+        looking.displays.append(page)
+        came = {}
+        reader = threading.Thread(target=_listen, args=(page.url, came), daemon=True)
+        reader.start()
+        time.sleep(0.5)
+        journal.append(Began(0.0, clock.now(), len(planned), "", tuple(start.tolist())))
+        Operator(bench, planned, journal, design.mechanism.axes, journal.rows[0].wall, looking).run()
+        looking.finish()
+        time.sleep(0.5)
+    shutter.close()
+    epoch = clock.now() - time.monotonic()
+    return {frame: t + epoch - max(own[frame] for own in taken.values()) for frame, t in came.items()}
+
+
+def _listen(url, came):
+    """Note when each frame's figures came to a browser. came : {frame: s, monotonic}, added to"""
+    with urllib.request.urlopen(url.replace("/?", "/events?")) as stream:
+        for line in stream:
+            if line.startswith(b"data: "):
+                seen = json.loads(line[6:]).get("seen")
+                if seen is not None:
+                    came.setdefault(seen["frame"], time.monotonic())
+
+
+if __name__ == "__main__":
+    main()
