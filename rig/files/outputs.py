@@ -42,10 +42,10 @@ class Outputs:
 
     def finish(self) -> None:
         """Put everything staged so far in its place now, not at the command's end; what is written after that needs a place anew."""
-        for staged in self._staged.values():
+        for place, staged in tuple(self._staged.items()):
             staged.commit(self._origin(True), self.inputs, self.force)
+            del self._staged[place]
             staged.discard()
-        self._staged.clear()
 
     def folder(self, path: Path) -> Path:
         """Where to write the files of a folder that this command makes whole: they are at `path` once the command is done.

@@ -131,6 +131,16 @@ def test_who_fails_leaves_everything_as_it_was(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old"]
 
 
+def test_of_two_places_that_one_cannot_be_written_is_one_error(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    with pytest.raises(FileError, match="t.json: is there"), Outputs("simulate") as outputs:
+        write_text(outputs.file(tmp_path / "a" / "p.csv"), "1")
+        write_text(outputs.file(tmp_path / "b" / "t.json"), "2")
+        (tmp_path / "b" / "t.json").write_text("somebody else's, meanwhile")
+    assert tree(tmp_path) == {"a/p.csv": "1", "b/t.json": "somebody else's, meanwhile"}
+
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path
