@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rig import json_file, table
 from rig.design_file import load
@@ -31,19 +30,11 @@ def drawn(folder):
     arm = replace(stated, joints=tree.array("joints", (len(stated.joints), 5)), base=pose(base[:3], base[3:]), tool=pose(tool[:3], tool[3:]))
     count = len(arm.joints)
     names = tuple(f"{letter}{j + 1}" for letter in "qe" for j in range(count))
-    rows = table.read(folder / "joints.csv", ("frame", *names, "growth"))
-    values = rows.matrix((*names, "growth"))
-    q, more, growth = values[:, :count], values[:, count:-1], values[:, -1]
-    frames = rows.whole("frame")
-    return {"with": _poses(q + more, arm, growth), "without": _poses(q, arm, np.zeros(len(q)))}, frames, tree
-
-
-def _poses(q, arm, growth):
-    """RigidTransform (n,) with the links' lengths grown by shares (n,)."""
-    if not growth.any():
-        return mechanism.forward(q, arm)
-    return RigidTransform.concatenate([mechanism.forward(angles, replace(arm, joints=arm.rows * [1, 1 + g, 1 + g, 1, 1]))
-                                       for angles, g in zip(q, growth)])
+    swayed = tuple(f"s{i + 1}" for i in range(6))
+    rows = table.read(folder / "joints.csv", ("frame", *names, *swayed))
+    values = rows.matrix((*names, *swayed))
+    q, more, sway = np.split(values, [count, 2 * count], axis=1)
+    return {"with": mechanism.forward(q + more, arm) * exp(sway), "without": mechanism.forward(q, arm)}, rows.whole("frame"), tree
 
 
 def write(folder, out, rng):

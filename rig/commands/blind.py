@@ -115,7 +115,7 @@ def _same_season(path, settings):
 
 def seal(out, index, settings):
     """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
-    from calib.diagnose.strength import strengths
+    from calib.diagnose.problems.platform.strength import strengths
     from rig import recording
     from rig.files import Outputs, write_text
     from synthetic import blind

@@ -6,10 +6,6 @@ from rig.commands.output import Progress, add_force, add_recording, read_recordi
 from rig.errors import RigError
 
 
-LONG_TIME = 1000.0  # s; times from there on, and clocks, are printed to a tenth of a second
-FEW = 6  # numbers of a parameter that are printed; of more, how many there are
-
-
 def arguments(parser):
     """Add this command's arguments to a parser."""
     add_recording(parser)
@@ -33,35 +29,55 @@ def run(arguments):
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
-    if recording.design.mechanism.kind == "arm":
-        if calibration is not None:
-            raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
-        from calib.diagnose import arm
-        from calib.diagnose import arm_result as result
-        from calib.diagnose.arm_page import diagnosis_page
-
-        found = arm.diagnose(recording, arguments.only, tuple(arguments.without), progress)
-        result.save(out, found, recording)
-        diagnosis_page(out / "diagnosis.html", found)
-    else:
-        from calib.diagnose import result
-        from calib.diagnose.page import diagnosis_page
-
-        found = result.diagnose(recording, arguments.only, tuple(arguments.without), progress, calibration)
-        result.save(out, found, recording)
-        diagnosis_page(out / "diagnosis.html", recording, found)
-    tree = result.to_dict(found)
-    for finding in tree["findings"]:
-        print(f"{finding['effect']} at {finding['place']}: " + ", ".join(_parameter(*item) for item in finding["parameters"].items()))
-        for rival in finding["cannot_be_told_from"]:
-            print(f"  cannot be told from {rival['effect']} at {rival['place']}; {rival['experiment']}")
-    if not tree["findings"]:
-        print("nothing is left out: the recording and the model agree within the noise")
-    fit = tree["fit"]
-    scale, unit = (1e6, "um") if fit["unit"] == "m" else (1, fit["unit"])
-    before, after, floor = (fit[name] * scale for name in ("heldout_before", "heldout_after", "noise_floor"))
-    print(f"held out: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
+    diagnosed = _arm if recording.design.mechanism.kind == "arm" else _platform
+    _print(diagnosed(recording, arguments, calibration, out, progress))
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
+
+
+def _arm(recording, arguments, calibration, out, progress):
+    """Report of an arm's recording, written to a folder with its page."""
+    from calib.diagnose.problems.arm.diagnose import diagnose
+    from calib.diagnose.report import arm
+    from calib.diagnose.report.arm_view import ArmView
+    from calib.diagnose.report.page import diagnosis_page
+
+    if calibration is not None:
+        raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
+    found = diagnose(recording, arguments.only, tuple(arguments.without), progress)
+    report = arm.report(found)
+    arm.save(out, found, recording)
+    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named))
+    return report
+
+
+def _platform(recording, arguments, calibration, out, progress):
+    """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
+    from calib.diagnose.problems.platform.diagnose import diagnose
+    from calib.diagnose.report import platform
+    from calib.diagnose.report.page import diagnosis_page
+    from calib.diagnose.report.platform_view import PlatformView
+
+    found = diagnose(recording, arguments.only, tuple(arguments.without), progress, calibration)
+    report = platform.report(found)
+    platform.save(out, found, recording)
+    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found))
+    return report
+
+
+def _print(report):
+    """Say what was found, the biggest first, and what was held out."""
+    from calib.diagnose.report.words import line
+
+    for finding in report.findings:
+        print(line(finding))
+        for other in finding.cannot_be_told_from:
+            print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
+    if not report.findings:
+        print("nothing is left out: the recording and the model agree within the noise")
+    for what, fit in report.fits.items():
+        scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
+        before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
+        print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
 
 
 def _known(path, recording):
@@ -74,17 +90,3 @@ def _known(path, recording):
         raise RigError(f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; diagnose without it, or "
                        "take another recording's")
     return calibration
-
-
-def _parameter(name, parameter):
-    value, unit = parameter["value"], parameter["unit"]
-    if not isinstance(value, float):
-        numbers = value and isinstance(value[0], float)
-        if numbers and len(value) <= FEW:
-            pairs = zip(value, zip(*parameter["ci95"])) if "ci95" in parameter else ((v, None) for v in value)
-            shown = " ".join(f"{v:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") for v, ends in pairs)
-            return f"{name} {shown} {parameter['unit']}"
-        return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"
-    low, high = parameter.get("ci95", (None, None))
-    digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
-    return f"{name} {value:{digits}} {unit}" + (f" ({low:{digits}} to {high:{digits}})" if low is not None else "")

@@ -38,7 +38,7 @@ def _separate(arguments):
 
     import numpy as np
 
-    from calib.diagnose.separate import separation
+    from calib.diagnose.problems.platform.separation import separation
     from rig import design_file, writing
     from rig.effects.parse import parse, placed
     from rig.plan import build, logged

@@ -95,8 +95,6 @@ def asked(text: str, design: Design) -> str:
     kind = _named(name, name)
     if not place:
         return text
-    if kind.discrete:
-        raise RigError(f"{text!r}: {name} is looked for at all its places at once; ask for {name!r} alone")
     try:
         placed(check(kind(place)), design)
     except ValueError as error:

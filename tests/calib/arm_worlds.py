@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.arms import model, observations
 from calib.samples import Samples
-from rig.design import Instrument
+from rig.design import Actuator, Design, Instrument, Platform
 from rig.pose import exp, log, pose, vector
 from rig.observed import POSE_COLUMNS
 from rig.writing import write_table
@@ -14,6 +14,11 @@ from tests.rig.arms import configurations
 
 TRACKER = Instrument("free", "free", 2e-5, 1e-4)
 BASE, TOOL = pose([1.2, -0.8, 0.4], [0.1, -0.2, 2.0]), pose([0.03, -0.04, 0.12], [0.5, -1.0, 0.3])
+
+
+def design(nominal):
+    """Design of an arm seen by the tracker."""
+    return Design("arm", np.array([0, 0, -9.80665]), nominal, TRACKER, Actuator(None, None, None), Platform(None, None, None), (), ())
 
 
 def secret(nominal, rng, size=1.0, parallel=1e-4):

@@ -6,10 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose import arm, arm_result
-from calib.diagnose.joint_families import families, moments
-from calib.diagnose.joint_select import findings, select
-from calib.diagnose.unknown import Unknown
+from calib.diagnose.engine.select import select
+from calib.diagnose.problems.arm.candidates import Form, joint_candidates
+from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
+from calib.diagnose.problems.arm.fit import fit
+from calib.diagnose.problems.arm.poses import arms_of
+from calib.diagnose.problems.arm.problem import ArmProblem
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.report.arm import report
 from rig import cli
 from rig import recording as recordings
 from rig.effects.play import play
@@ -30,7 +34,7 @@ def recorded(deviation, count=260, seed=5):
     rng = np.random.default_rng(seed)
     true = arm_worlds.secret(UR10, rng)
     samples = arm_worlds.tracked(true, UR10, count, rng, deviation=deviation)
-    return arm.arms_of(samples, UR10, arm_worlds.TRACKER, GRAVITY), true
+    return arms_of(samples, arm_worlds.design(UR10)), true
 
 
 def hidden(q):
@@ -46,47 +50,36 @@ def hidden(q):
 @pytest.fixture(scope="module")
 def found():
     (arms, _), _ = recorded(hidden)
-    asked, _ = families(arms)
-    return arms, asked, select(arms, asked)
+    candidates, _ = joint_candidates(arms, Asked())
+    problem = ArmProblem(arms, candidates)
+    return problem, select(problem)
 
 
 def test_hidden_effects_are_found_at_their_joints(found):
-    _, _, fit = found
-    names = {(t.family.name, t.family.place) for t in fit.terms}
+    names = {(t.candidate.name, t.candidate.place) for t in found[1].fit.terms}
     assert ("compliance", "joint 2") in names and ("backlash", "joint 3") in names
     assert {place for name, place in names if name in ("transmission_error", "cyclic_error")} == {"joint 1"}
     assert {place for _, place in names} == {"joint 1", "joint 2", "joint 3"}
 
 
 def test_sizes_are_those_that_were_hidden(found):
-    arms, asked, fit = found
-    listed = findings(fit, asked)
-    d = arm.ArmDiagnosis("arm", "poses.csv", arms, UR10, fit, fit, listed, len(asked), [], [], None, [Unknown("rig", 1e-5, "m", (), 1e-9, 40.0)])
-    by_name = {arm_result._finding(d, f)["effect"]: arm_result._finding(d, f) for f in listed}
-    gap = by_name["backlash"]["parameters"]["gap"]
-    assert gap["ci95"][0] <= GAP <= gap["ci95"][1] and gap["ci95"][1] - gap["ci95"][0] < 0.3 * GAP
-    load = hidden(arms.q)[:, 1]
-    assert by_name["compliance"]["parameters"]["deflection"]["value"] == pytest.approx(load.std(), rel=0.15)
-    json.dumps(list(by_name.values()))
+    problem, chosen = found
+    proofs = [problem.cross_validation(chosen.fit, f.number) for f in chosen.findings]
+    held = HeldOutPoses(chosen.before.left, chosen.fit.left, 30, ((),), np.zeros(len(problem.arms)))
+    d = ArmDiagnosis("arm", "poses.csv", problem.arms, UR10, chosen.before, chosen.fit, chosen.findings, proofs, chosen.asked, [], [held], None, [])
+    by_name = {f.effect: f for f in report(d).findings}
+    gap = by_name["backlash"].parameters["gap"]
+    assert gap.ci95[0] <= GAP <= gap.ci95[1] and gap.ci95[1] - gap.ci95[0] < 0.3 * GAP
+    load = hidden(problem.arms.q)[:, 1]
+    assert by_name["compliance"].parameters["rms"].value == pytest.approx(load.std(), rel=0.15)
+    assert "joint" in by_name["backlash"].action and all(f.matters for f in by_name.values())
+    json.dumps(report(d).tree())
 
 
 def test_nothing_hidden_nothing_found():
     for seed in (1, 2):
         (arms, _), _ = recorded(None, 200, seed)
-        asked, _ = families(arms)
-        assert select(arms, asked).terms == ()
-
-
-def test_moments_make_up_the_weights_torque():
-    rng = np.random.default_rng(0)
-    q = arm_worlds.configurations_of(UR10, 80, rng)
-    still = np.zeros(q.shape)
-    torque = dynamics.torques(q, still, still, STANDING, LINKS, GRAVITY)
-    for j, (values, names) in enumerate(moments(q, STANDING, GRAVITY)):
-        assert values.shape[1] == len(names)
-        columns = np.column_stack([values, np.ones(len(q))])
-        left = torque[:, j] - columns @ np.linalg.lstsq(columns, torque[:, j], rcond=None)[0]
-        assert np.abs(left).max() < 1e-3 * max(np.abs(torque).max(), 1e-9)
+        assert select(ArmProblem(arms, joint_candidates(arms, Asked())[0])).fit.terms == ()
 
 
 def test_few_poses_are_an_error():
@@ -105,7 +98,7 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     low, high = first["parameters"]["scale"]["ci95"]
     assert (first["effect"], first["place"]) == ("scale_error", "joint 4") and low < 3e-3 < high
     assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
-    assert "scale_error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
+    assert "Scale error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
     assert "scale_error at joint 4" in capsys.readouterr().out
 
 

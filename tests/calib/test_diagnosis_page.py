@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose import result
-from calib.diagnose.page import diagnosis_page
-from calib.diagnose.remedy import REMEDIES
-from calib.diagnose.schematic import MARKS, schematic
-from calib.diagnose.telltale import residuals, telltale
-from calib.diagnose.unknown import Unknown
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.problems.platform import diagnose as platform
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.page import diagnosis_page
+from calib.diagnose.report.platform import report
+from calib.diagnose.report.platform_view import PlatformView
+from calib.diagnose.report.plots import diagnostic_plot, model_residuals, residuals
+from calib.diagnose.report.schema import AlternativeEntry, NotAskedEntry
+from calib.diagnose.report.schematic import MARKS, schematic
 from rig import plan, recording
 from rig.effects import ALL, BY_NAME
 from rig.effects.parse import parse
@@ -32,7 +35,13 @@ def make(design, rig_text, folder, text, only):
     done = simulation.simulate(world.draw(design, rng, 1.0, (parse(text),)), plan.build(design, "sobol:14,ladder:1,payload:2,moving:6", 1), rng)
     simulation.write(done, folder, rig_text, rng, noise=0.03)
     found = recording.load(folder)
-    return found, result.diagnose(found, only)
+    return found, diagnose(found, only)
+
+
+def made(folder, found, diagnosis):
+    """(page, its text) of a recording's diagnosis."""
+    diagnosis_page(folder / "page.html", report(diagnosis), PlatformView(found, diagnosis))
+    return text_of(folder / "page.html")
 
 
 def text_of(path):
@@ -42,36 +51,31 @@ def text_of(path):
 
 def test_the_page_says_what_was_found(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    diagnosis_page(tmp_path / "page.html", found, diagnosis)
-    page, text = text_of(tmp_path / "page.html")
-    gap = result.to_dict(diagnosis)["findings"][0]["parameters"]["gap"]
-    assert f"Backlash at strut 3, gap {gap['value'] * 1e6:.3g} µm (95 %: {gap['ci95'][0] * 1e6:.3g} to {gap['ci95'][1] * 1e6:.3g})" in text
-    assert REMEDIES["backlash"] in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
-    assert page.count("data:image/png;base64,") == 3  # the rig, the tell-tale, what remains
+    page, text = made(tmp_path, found, diagnosis)
+    gap = report(diagnosis).findings[0].parameters["gap"]
+    assert f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})" in text
+    assert BY_NAME["backlash"].action_at("strut 3") in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
+    assert page.count("data:image/png;base64,") == 3  # the rig, the diagnostic plot, what remains
     assert not re.search(r'(src|href)="(?!data:)', page) and "<script" not in page and "@import" not in page
 
 
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    still = result.diagnose(found, ["missed_steps strut 1"])
-    diagnosis_page(tmp_path / "page.html", found, replace(still, unknown=[]))
-    assert "Nothing is left out" in text_of(tmp_path / "page.html")[1]
-    left = [Unknown("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0), Unknown("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0)]
-    diagnosis_page(tmp_path / "page.html", found, replace(still, unknown=left))
-    text = text_of(tmp_path / "page.html")[1]
+    still = diagnose(found, ["missed_steps strut 1"])
+    assert "Nothing is left out" in made(tmp_path, found, replace(still, left=[]))[1]
+    left = [LackOfFit("strut 3", 4e-5, "m", ("history",), 1e-9, 80.0), LackOfFit("camera cam1", 0.2, "px", ("image position",), 1e-9, 70.0)]
+    text = made(tmp_path, found, replace(still, left=left))[1]
     assert "There is something at strut 3 that nothing in the catalogue explains, 40 µm, going with history." in text
     assert "image position" in text and "below 1 in a million" in text
     assert "Backlash" not in text and "backlash" not in text
 
 
-def test_rivals_and_what_was_not_asked_are_listed(diagnosed, tmp_path, monkeypatch):
+def test_alternatives_and_what_was_not_asked_are_listed(diagnosed, tmp_path):
     found, diagnosis = diagnosed
-    tree = result.to_dict(diagnosis)
-    rival = {"effect": "hysteresis", "place": "strut 3", "delta_bic": 1.25, "cosine": 0.999, "experiment": "a <ladder>"}
-    tree["findings"][0]["cannot_be_told_from"] = [rival]
-    tree["not_asked"] = [{"effect": "thermal_expansion", "reason": "no channel"}]
-    monkeypatch.setattr("calib.diagnose.page.to_dict", lambda d: tree)
-    diagnosis_page(tmp_path / "page.html", found, diagnosis)
+    told = report(diagnosis)
+    finding = replace(told.findings[0], cannot_be_told_from=(AlternativeEntry("hysteresis", "strut 3", 1.25, 0.999, "a <ladder>"),))
+    told = replace(told, findings=(finding,), not_asked=(NotAskedEntry("thermal_expansion", "no channel"),))
+    diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
     page, text = text_of(tmp_path / "page.html")
     assert "a &lt;ladder&gt;" in page and "1.2" in text and "thermal expansion" in text and "no channel" in text
     assert "This recording alone cannot tell the backlash" in text
@@ -79,9 +83,9 @@ def test_rivals_and_what_was_not_asked_are_listed(diagnosed, tmp_path, monkeypat
 
 def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     _, diagnosis = diagnosed
-    settled = diagnosis.selection.settled
-    (after, corners), (before, _) = residuals(settled), residuals(settled, (0,))
-    bare, _ = residuals(type(settled)(settled.knowledge, diagnosis.selection.before, [], np.zeros(0), np.zeros((0, 0)), None))
+    refined = diagnosis.selection.fit.refined
+    (after, corners), (before, _) = residuals(refined), residuals(refined, (0,))
+    bare, _ = model_residuals(diagnosis.selection.before.refined.model)
     rms = np.sqrt((np.stack([before, bare, after]) ** 2).mean(axis=1))[:, 2]
     assert rms[0] == pytest.approx(rms[1], rel=0.1) and rms[2] < 0.6 * rms[0]  # m, of strut 3
     assert np.sqrt((corners**2).mean()) == pytest.approx(0.03, rel=0.1)  # px
@@ -94,11 +98,11 @@ def test_taking_an_effect_away_brings_its_residual_back(diagnosed):
     "clock_drift:clock:rate=1e-4", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100", "focal_drift:cameras:per_kelvin=4e-4",
     "edge_bias:cameras:bias=0.2", "print_scale:markers:scale=3e-3", "rolling_shutter:cam0:row_time=3e-5", "refraction:cam1:thickness=2e-2",
     "face_misplacement:4:offset=5e-4/0/0", "cube_misplacement:P2:motion=5e-4/0/0/0/0/0"])
-def test_every_tell_tale_can_be_drawn(text, diagnosed):
+def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
     _, diagnosis = diagnosed
-    settled = diagnosis.selection.settled
+    refined = diagnosis.selection.fit.refined
     effect = parse(text)
-    figure = telltale(replace(settled, knowledge=settled.knowledge.with_effects((effect,))), 0)
+    figure = diagnostic_plot(replace(refined, point=refined.point.with_effects((effect,))), 0)
     drawn = [axes for axes in figure.axes if axes.lines or axes.patches or axes.collections]
     assert len(drawn) >= 1 and all(axes.get_xlabel() for axes in drawn)
     if len(drawn) == 3:  # what it explains lies along the axis, and is more than nothing
@@ -106,28 +110,27 @@ def test_every_tell_tale_can_be_drawn(text, diagnosed):
 
 
 def test_marks_are_on_the_parts_that_are_pointed_at(diagnosed):
-    knowledge = diagnosed[1].selection.settled.knowledge
+    point = diagnosed[1].selection.fit.refined.point
     places = ["strut 3", "camera cam1", "marker 4", "target P2", "clock"]
-    axes = schematic(knowledge, places).axes[0]
+    axes = schematic(point, places).axes[0]
     thick = {line.get_color(): line.get_linewidth() for line in axes.lines if line.get_color() in MARKS}
     assert set(thick) == set(MARKS[:4]) and min(thick.values()) > 2
     assert [t.get_text() for t in axes.texts if t.get_color() == MARKS[0]] == ["3"] and "clock" in [t.get_text() for t in axes.texts]
-    assert not [line for line in schematic(knowledge, []).axes[0].lines if line.get_color() in MARKS]
+    assert not [line for line in schematic(point, []).axes[0].lines if line.get_color() in MARKS]
 
 
-def test_every_effect_has_a_remedy():
-    assert set(REMEDIES) == set(BY_NAME) == {e.name for e in ALL}
+def test_every_effect_says_what_to_do():
+    assert all(kind.action_at(place).endswith(".") for kind in ALL for place in ("strut 1", "joint 1"))
 
 
 def test_poses_alone_make_a_page(diagnosed, tmp_path, monkeypatch):
     found, diagnosis = diagnosed
-    monkeypatch.setattr(result, "within_reach", lambda knowledge: knowledge)  # there are no corners that could be out of reach
-    k = diagnosis.selection.settled.knowledge
+    monkeypatch.setattr(platform, "within_reach", lambda point: point)  # there are no corners that could be out of reach
+    k = diagnosis.selection.fit.refined.point
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         (tmp_path / name).write_bytes((found.folder / name).read_bytes())
     covariance = np.tile(np.diag([5e-6**2] * 3 + [3e-5**2] * 3), (len(k.frames), 1, 1))
     write_poses(tmp_path / "poses.csv", recording.Poses(k.frames, k.T, covariance))
     alone = recording.load(tmp_path)
-    diagnosis_page(tmp_path / "page.html", alone, result.diagnose(alone, ["backlash"]))
-    text = text_of(tmp_path / "page.html")[1]
+    text = made(tmp_path, alone, diagnose(alone, ["backlash"]))[1]
     assert "Backlash at strut 3" in text and re.search(r"corners\s+none", text)

@@ -3,23 +3,26 @@
 import numpy as np
 import pytest
 
-from calib.diagnose import arm, joint_scan
-from calib.diagnose.joint_families import families
-from calib.diagnose.joint_select import findings, select
-from calib.diagnose.joint_unknown import unknowns
-from calib.diagnose.joints import fit
-from calib.diagnose.repeats import repeats
+from calib.diagnose.engine.linear import Column, explicit
+from calib.diagnose.engine.select import select
+from calib.diagnose.problems.arm.candidates import joint_candidates
+from calib.diagnose.problems.arm.fit import Term, fit
+from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
+from calib.diagnose.problems.arm.poses import arms_of
+from calib.diagnose.problems.arm.problem import ArmProblem
+from calib.diagnose.problems.arm.repeats import repeats
+from calib.diagnose.problems.arm.search import joint_products, search, solved_grid, solved_nodes
+from calib.diagnose.problems.asked import Asked
 from tests.calib import arm_worlds
 from tests.rig.arms import UR10
 
-GRAVITY = np.array([0, 0, -9.80665])
 SIGMA = 2e-5  # m, per axis
 
 
 def seen(deviation, count=200, seed=3, again=0):
     rng = np.random.default_rng(seed)
     samples = arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, count, rng, deviation=deviation, again=again)
-    return arm.arms_of(samples, UR10, arm_worlds.TRACKER, GRAVITY)[0]
+    return arms_of(samples, arm_worlds.design(UR10))[0]
 
 
 def only(joint, function):
@@ -30,41 +33,51 @@ def only(joint, function):
 @pytest.fixture(scope="module")
 def searched():
     arms = seen(only(2, lambda q: 3e-4 * np.sin(7 * q[:, 2])), 150)
-    asked, _ = families(arms)
-    return fit(arms, (), np.arange(len(arms)) % 7 != 3), asked
+    return fit(arms, (), np.arange(len(arms)) % 7 != 3), joint_candidates(arms, Asked())[0]
 
 
 @pytest.mark.parametrize("name", ["cyclic_error", "missed_steps"])
-def test_short_cuts_give_every_shape_its_drop(searched, name):
-    now, asked = searched
-    family = next(f for f in asked if f.name == name and f.joint == 2)
-    atom = joint_scan.atoms(now, 2)
-    quick, long = joint_scan.drops_of(now, family, atom), joint_scan._each(now, family, atom, family.shapes)
-    assert quick[0] == pytest.approx(long[0], abs=1e-6 * long[0].max())
-    assert np.array(quick[1]) == pytest.approx(np.array(long[1]), abs=1e-9)
+def test_short_cuts_give_every_node_its_score(searched, name):
+    now, candidates = searched
+    candidate = next(c for c in candidates if c.name == name and c.joint == 2)
+    products = joint_products(now, 2)
+    quick, long = solved_grid(now, candidate, products), solved_nodes(now, candidate, products, candidate.grid)
+    assert quick.delta_chi2 == pytest.approx(long.delta_chi2, abs=1e-6 * long.delta_chi2.max())
+    assert np.array(quick.coefficients) == pytest.approx(np.array(long.coefficients), abs=1e-9)
 
 
 def test_a_term_struck_out_or_set_beside_is_the_fit_without_or_with_it(searched):
-    now, asked = searched
-    a, b = [joint_scan.term(s) for s in joint_scan.scan(now, asked, least=-np.inf)[:2]]
-    both = now.beside([a, b])
-    assert both.without([0, 1]).left == pytest.approx(now.left, abs=1e-12)
-    assert both.without([0]).left == pytest.approx(now.beside([b]).left, abs=1e-12)
-    assert both.cost() < now.beside([b]).cost() < now.cost()
-    drop = now.cost() - now.beside([a]).cost()
-    score = joint_scan.scan(now, [a.family], least=-np.inf)[0]
-    assert score.drop * score.dispersion == pytest.approx(drop, rel=1e-6)
+    now, candidates = searched
+    a, b = [Term.of(s) for s in search(now, candidates, -np.inf)[:2]]
+    both = now.with_terms([a, b])
+    assert both.without_terms([0, 1]).left == pytest.approx(now.left, abs=1e-12)
+    assert both.without_terms([0]).left == pytest.approx(now.with_terms([b]).left, abs=1e-12)
+    assert both.cost() < now.with_terms([b]).cost() < now.cost()
+    score = search(now, [a.candidate], -np.inf)[0]
+    assert score.delta_chi2 * score.dispersion == pytest.approx(now.cost() - now.with_terms([a]).cost(), rel=1e-6)
+
+
+def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
+    now, candidates = searched
+    linear = now.with_terms([Term.of(search(now, candidates)[0])]).linear
+    Q = linear.columns.parts[0] @ linear.half
+    basis = explicit(linear.blocks, Column((Q,)), linear.size)
+    rng = np.random.default_rng(0)
+    reach, onto = rng.normal(size=Q.shape[1]), rng.normal(size=(3, Q.shape[1]))
+    assert linear.leakage(reach, onto) == pytest.approx(basis.leakage(reach, onto), abs=1e-9)
+    column = Column((rng.normal(size=(len(Q), 2)),))
+    assert linear.project(column).gram == pytest.approx(basis.project(column).gram, rel=1e-9)
 
 
 def test_sinusoid_is_found_with_its_order(searched):
-    now, asked = searched
-    arms = now.arms
-    chosen = select(arms, asked)
-    assert [(t.family.name, t.family.place) for t in chosen.terms] == [("cyclic_error", "joint 3")]
-    assert chosen.terms[0].shape["order"] == pytest.approx(7, abs=0.1)
-    assert np.hypot(*chosen.theta[chosen.slices[0]]) == pytest.approx(3e-4, rel=0.1)
-    found = findings(chosen, asked)[0]
-    assert found.after < 0.7 * found.before and found.gain > 2
+    now, candidates = searched
+    problem = ArmProblem(now.arms, candidates)
+    chosen = select(problem)
+    assert [(t.candidate.name, t.candidate.place) for t in chosen.fit.terms] == [("cyclic_error", "joint 3")]
+    assert chosen.fit.terms[0].node["order"] == pytest.approx(7, abs=0.1)
+    assert np.hypot(*chosen.fit.theta[chosen.fit.slices[0]]) == pytest.approx(3e-4, rel=0.1)
+    proof = problem.cross_validation(chosen.fit, 0)
+    assert proof.after < 0.7 * proof.before and proof.gain > 2
 
 
 def test_repeats_tell_noise_from_what_comes_again():
@@ -77,9 +90,9 @@ def test_repeats_tell_noise_from_what_comes_again():
 
 def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
-    chosen = select(arms, families(arms)[0])
+    chosen = select(ArmProblem(arms, joint_candidates(arms, Asked())[0])).fit
     assert chosen.terms == ()
-    left = unknowns(chosen, repeats(chosen))
+    left = lack_of_fit(chosen, repeats(chosen), 5)
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

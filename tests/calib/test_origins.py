@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from calib.diagnose import result
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.platform import report
 from rig import recording
 from rig.effects import ALL
 from synthetic import blind
@@ -17,7 +18,7 @@ CLOCKED = ["clock_drift", "time_offset", "vibration", "missed_steps"]  # what a 
 
 def verdicts(folder, tmp_path, only, origins=ORIGINS):
     """{origin: tree of diagnosis.json}."""
-    return {origin: result.to_dict(result.diagnose(recording.load(counted_from(folder, tmp_path / origin, origin)), only)) for origin in origins}
+    return {origin: report(diagnose(recording.load(counted_from(folder, tmp_path / origin, origin)), only)).tree() for origin in origins}
 
 
 def assert_same(trees):

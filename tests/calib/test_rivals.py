@@ -3,81 +3,85 @@
 import numpy as np
 import pytest
 
-from calib.diagnose import result
-from calib.diagnose.hypotheses import Family, Signatures
-from calib.diagnose.knowledge import of_recording
-from calib.diagnose.scan import Score
-from calib.diagnose.settle import settle
+from calib.diagnose.engine.score import Score
+from calib.diagnose.problems.platform.candidates import candidate_of
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.refine import refine
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.diagnose.report.platform import report
 from rig.effects import BY_NAME
+from rig.effects.candidate import Candidate, Linear
 from synthetic import outlaws
 from tests.calib.recorded import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
 
 
-def score(name, place, shape, coefficients, linear, drop=400.0, curve=None):
+def score(name, place, node, coefficients, linear, delta_chi2=400.0, curve=None):
     """Score of an effect with one or no linear parameter."""
-    family = Family(BY_NAME[name], place, [shape], linear)
-    return Score(family, shape, np.array(coefficients), drop, 1e-9, 1, 1.0, 1.0, np.array([drop]) if curve is None else curve)
+    candidate = candidate_of(Candidate(BY_NAME[name], place, [node], [Linear(*column) for column in linear]))
+    curve = np.array([delta_chi2]) if curve is None else curve
+    return Score(candidate, node, np.array(coefficients), delta_chi2, 1e-9, 1, 1.0, 1.0, curve, candidate.numbers(node, np.array(coefficients)))
 
 
 def test_what_rigs_do_not_show_costs_more():
     def cost(coefficient):
-        return score("thermal_expansion", "rig", {}, [coefficient], [("coefficient", None, 1e-6)]).occam(5000)
+        return score("thermal_expansion", "rig", {}, [coefficient], [("coefficient", None, 1e-6)]).complexity(5000)
 
     usual = cost(1.2e-5)
     assert cost(2.0e-5) == pytest.approx(usual) and cost(8e-5) > usual + 10 and cost(-1.2e-5) > usual + 10
     # as sharp as that, over so many orders of magnitude, with either sign
-    offset = score("time_offset", "clock", {}, [-0.01], [("offset", None, 1e-3)]).occam(5000)
+    offset = score("time_offset", "clock", {}, [-0.01], [("offset", None, 1e-3)]).complexity(5000)
     assert offset == pytest.approx(2 * np.log(20 * np.log(60) * 2 / np.sqrt(2 * np.pi)))
-    lag = score("servo_lag", "rig", {"time_constant": 0.01}, [], []).occam(5000)
+    lag = score("servo_lag", "rig", {"time_constant": 0.01}, [], []).complexity(5000)
     assert offset - lag == pytest.approx(2 * np.log(np.log(60) * 2 / np.log(50)))
     # reciprocals: a soft strut is the large effect
-    soft, stiff = (score("compliance", "rig", {}, [1 / k], [("stiffness", None, 1e-7)]).occam(5000) for k in (1e5, 1e7))
+    soft, stiff = (score("compliance", "rig", {}, [1 / k], [("stiffness", None, 1e-7)]).complexity(5000) for k in (1e5, 1e7))
     assert soft > stiff + 10
 
 
-def test_a_shape_costs_what_the_search_over_it_shows():
+def test_a_grids_parameter_costs_what_the_search_over_it_shows():
     flat, sharp = np.full(16, 100.0), np.zeros(16)
     sharp[5] = 100.0
-    costs = [score("warm_up", "rig", {"time_constant": 900.0}, [2e-5], [("amplitude", None, 1e-6)], 100.0, curve).occam(5000)
+    costs = [score("warm_up", "rig", {"time_constant": 900.0}, [2e-5], [("amplitude", None, 1e-6)], 100.0, curve).complexity(5000)
              for curve in (flat, sharp)]
     assert costs[1] - costs[0] == pytest.approx(2 * np.log(16))
 
 
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):
     rec = recorded(tmp_path, design, ["servo_lag:rig:time_constant=0.045"], route="moving:40,sobol:30,moving:40")
-    finding, = result.to_dict(result.diagnose(rec, only=["servo_lag", "time_offset"]))["findings"]
-    assert (finding["effect"], finding["place"]) == ("servo_lag", "rig")
-    assert all(r["delta_bic"] > 20 for r in finding["cannot_be_told_from"])
+    finding, = report(diagnose(rec, only=["servo_lag", "time_offset"])).findings
+    assert (finding.effect, finding.place) == ("servo_lag", "rig")
+    assert all(a.delta_bic > 20 for a in finding.cannot_be_told_from)
 
 
 def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design):
-    knowledge = of_recording(recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40"))[0]
-    settled = settle(knowledge, Signatures(knowledge))
-    np.testing.assert_allclose(settled.knowledge.finder, 0.25, atol=0.02)
-    planes = settled.planes
-    assert settled.knowledge.standing < 0.01 and (planes.image**2).sum() == pytest.approx(len(planes.image) - 6 * planes.frames, rel=0.1)
-    strained = planes.struts[6 * planes.frames :]
+    point = of_recording(recorded(tmp_path, design, ["edge_bias:cameras:bias=0.25"], route="sobol:40"))[0]
+    refined = refine(point, Sensitivities(point))
+    np.testing.assert_allclose(refined.point.finder, 0.25, atol=0.02)
+    model = refined.model
+    assert refined.point.standing < 0.01 and (model.corner_residual**2).sum() == pytest.approx(len(model.corner_residual) - 6 * model.frames, rel=0.1)
+    strained = model.closure_residual[6 * model.frames :]
     assert 3 * 40**2 < strained @ strained < 3 * 60**2  # what is known of finders says that this is none
 
 
 def test_a_step_soon_after_the_start_is_found(tmp_path, design):
     rec = recorded(tmp_path, design, ["missed_steps:strut4:jump=6e-5,time=70"], route=PLAN)
-    found = result.diagnose(rec, only=["missed_steps", "warm_up", "creep"])
+    found = diagnose(rec, only=["missed_steps", "warm_up", "creep"])
     assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
 
 
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [outlaws.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
-    found = result.diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
-    assert not found.effects and found.unknown[0].place == "strut 5"
+    found = diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
+    assert not found.effects and found.left[0].place == "strut 5"
 
 
 def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_path, design):
     rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
-    found = result.diagnose(rec, only=["warm_up", "base_expansion"])
-    named = {(f.score.family.kind.name, *(r.score.family.kind.name for r in f.rivals)) for f in found.selection.findings}
+    found = diagnose(rec, only=["warm_up", "base_expansion"])
+    named = {(f.score.candidate.name, *(a.score.candidate.name for a in f.alternatives)) for f in found.selection.findings}
     assert found.effects and all("base_expansion" in names for names in named)
 
 
@@ -88,6 +92,6 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_p
 def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alike):
     name, place, _ = text.split(":")
     rec = recorded(tmp_path, design, [text], logged=False, route="sobol:50,ladder:2,sobol:60")
-    found = result.diagnose(rec, only=[alike, name])
-    sets = [[(r.score.family.kind.name, r.score.family.place) for r in f.rivals] for f in found.selection.findings]
+    found = diagnose(rec, only=[alike, name])
+    sets = [[(a.score.candidate.name, a.score.candidate.place) for a in f.alternatives] for f in found.selection.findings]
     assert found.effects[0].name == alike and (name, place.replace("strut", "strut ")) in sets[0]

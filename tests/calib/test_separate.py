@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.separate import separation
+from calib.diagnose.problems.platform.separation import separation
 from rig import cli
 from rig.effects.parse import parse
 from rig.plan import build, logged

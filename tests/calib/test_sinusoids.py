@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.diagnose.sinusoids import sums
+from calib.diagnose.engine.sinusoids import sums
 
 
 @pytest.mark.parametrize(("step", "first", "count", "low", "high"), [(0.85, 3, 500, -3.1, -0.8), (2.0, 0, 40, -1.5, 1.5), (0.01, 100, 7, 0.0, 0.3)])

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose import result
-from calib.diagnose.hypotheses import Signatures
-from calib.diagnose.knowledge import of_recording
-from calib.diagnose.settle import settle
-from calib.diagnose.temperatures import widened
-from calib.diagnose.weather import smoothed
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.refine import refine
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.diagnose.problems.platform.temperatures import widened
+from calib.diagnose.problems.temperature_smoothing import smoothed
 from rig.effects.parse import parse
 from rig.recording import Sensors
 from synthetic.world import weather
@@ -45,24 +45,24 @@ def test_few_rows_and_no_log_stay():
 
 def test_noise_of_a_thermometer_does_not_hide_a_strong_effect(tmp_path, design):
     rec = recorded(tmp_path, design, ["focal_drift:camera cam1:per_kelvin=4e-4"], route="sobol:100,ladder:2,sobol:100")
-    found = result.diagnose(rec, only=["focal_drift", "camera_drift"])
-    assert [(e.name, e.place) for e in found.effects] == [("focal_drift", "camera cam1")] and not found.unknown
+    found = diagnose(rec, only=["focal_drift", "camera_drift"])
+    assert [(e.name, e.place) for e in found.effects] == [("focal_drift", "camera cam1")] and not found.left
 
 
 def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
     rec = recorded(tmp_path, design, ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
                    route="sobol:60,ladder:2,sobol:60")
     k = of_recording(rec)[0].with_effects([parse("thermal_expansion:strut2:coefficient=6e-5"), parse("focal_drift:camera cam1:per_kelvin=2e-4")])
-    signatures = Signatures(k)
-    settled = settle(k, signatures)
-    more = np.diag(widened(settled).covariance - settled.covariance)
+    sensitivities = Sensitivities(k)
+    refined = refine(k, sensitivities)
+    more = np.diag(widened(refined).covariance - refined.covariance)
     seen = np.zeros(2)
     for channel in ("strut2_temperature_C", "ambient_temperature_C"):
         for error in k.log_errors[channel].T:
             ends = []
             for size in (-FAR, FAR):  # a fit stops within a part of a standard deviation
                 course = {**k.sensors.channels, channel: k.sensors.channels[channel] + size * error}
-                ends.append(settle(replace(settled.knowledge, sensors=replace(k.sensors, channels=course)), signatures).values)
+                ends.append(refine(replace(refined.point, sensors=replace(k.sensors, channels=course)), sensitivities).values)
             seen += ((ends[1] - ends[0]) / (2 * FAR)) ** 2
     np.testing.assert_allclose(more, seen, rtol=0.15)
-    assert (more > 0.01 * np.diag(settled.covariance)).all()
+    assert (more > 0.01 * np.diag(refined.covariance)).all()

@@ -31,7 +31,7 @@ def test_a_planar_rig_has_two_struts(design):
 
 
 @pytest.mark.parametrize(("text", "says"), [
-    ("backlsh", "is 'backlash' meant"), ("backlash strut 9", "no strut '9'"), ("marker_swap marker 8", "ask for 'marker_swap' alone"),
+    ("backlsh", "is 'backlash' meant"), ("backlash strut 9", "no strut '9'"), ("marker_swap strut 8", "cannot sit at 'strut 8'"),
     ("backlash camera cam0", "cannot sit"), ("camera_bump camera cam9", "no camera 'cam9'"),
 ])
 def test_a_diagnosis_is_asked_only_for_what_can_be(design, text, says):

@@ -148,7 +148,7 @@ def test_a_wrong_season_is_refused_before_anything_is_written(more, said, tmp_pa
 
 def case(hidden=(), found=(), kind="one", unexplained=False):
     h = [score.Hidden(name, place, {}, 30.0) for name, place in hidden]
-    f = [score.Found(name, place, {}, list(rivals)) for name, place, *rivals in found]
+    f = [score.Found(name, place, {}, list(alternatives)) for name, place, *alternatives in found]
     return score.Case(1, kind, None, h, f, unexplained, 1.0, 1.0)
 
 
@@ -198,7 +198,7 @@ def test_what_is_no_season_is_said(tmp_path):
 
 
 def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_text, tmp_path):
-    from calib.diagnose.strength import strengths
+    from calib.diagnose.problems.platform.strength import strengths
 
     effects = (parse("backlash:strut2:gap=5e-5"), parse("scale_error:strut3:scale=1e-12"))
     rng = np.random.default_rng(8)

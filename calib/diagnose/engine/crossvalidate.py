@@ -1,0 +1,119 @@
+"""Whether a term predicts what it was not fitted to: whole stretches of time held out in turn, with and without it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import rankdata
+
+from calib.diagnose.engine.linear import LinearModel
+from calib.samples import blocks
+
+FOLDS = 5
+STRETCHES = 30  # over which a gain is judged
+FEWEST = 4  # frames of a stretch
+RIDGE = 1e-9  # keeps directions that a training set cannot see where they stood
+FIRM = 1e-10  # of an information's diagonal, added so that a training set can always be solved for
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """Held-out misfit (RMS, in unit) without a term and with it, and what noise alone leaves; unit "m" or "px".
+
+    gain : by which the whitened sum of squares falls on held-out frames, in standard errors over stretches of frames
+    """
+
+    before: float
+    after: float
+    floor: float
+    unit: str
+    gain: float
+
+
+class HeldOut(NamedTuple):
+    """Residuals by a fit to other frames. frames : for each block (m,), the rows of frames alone; beforehand : for each block, the rest."""
+
+    frames: tuple[np.ndarray, ...]
+    beforehand: tuple[np.ndarray, ...]
+
+
+def stretches(count: int, number: int) -> np.ndarray:
+    """(count,) fold of each frame: whole stretches in time, never too short to tell anything."""
+    return blocks(count, min(number, max(count // FEWEST, 2)))
+
+
+def folds(frames: int, sudden: bool, shorter: int = 4) -> np.ndarray:
+    """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several shorter ones, so that
+    what comes before it and after it is never held out whole."""
+    count = min(FOLDS, frames // FEWEST)
+    return blocks(frames, min(shorter * FOLDS, frames // FEWEST)) % count if sudden else blocks(frames, count)
+
+
+def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray) -> HeldOut:
+    """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances fitted on other folds.
+
+    model : with an explicit basis; what was known beforehand is known in every fold, and is judged by the fit to all
+    """
+    grams, basis = model.grams, model.columns.parts
+    rows = [[slice(a, b) for a, b in zip(block.edges[:-1], block.edges[1:])] for block in model.blocks]
+    right = np.stack([sum(Q[at[f]].T @ y[at[f]] for Q, y, at in zip(basis, residuals, rows)) for f in range(model.frames)])
+    known = [slice(int(block.edges[-1]), None) for block in model.blocks]
+    held = sum(Q[at].T @ Q[at] for Q, at in zip(basis, known))
+    pulled = sum(Q[at].T @ y[at] for Q, y, at in zip(basis, residuals, known))
+    everything = right.sum(axis=0) + pulled
+    out = [y[block.frames_rows].copy() for block, y in zip(model.blocks, residuals)]
+    for hold in np.unique(fold):
+        train = fold != hold
+        normal = grams[train].sum(axis=0) + held
+        size = np.linalg.solve(normal + RIDGE * np.eye(len(normal)), right[train].sum(axis=0) + pulled)
+        for f in np.flatnonzero(~train):
+            for left, Q, at in zip(out, basis, rows):
+                left[at[f]] -= Q[at[f]] @ size
+    return HeldOut(tuple(out), tuple(y[at] - Q[at] @ everything for Q, y, at in zip(basis, residuals, known)))
+
+
+def left_out(columns: np.ndarray, target: np.ndarray, information: np.ndarray, fold: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """A function: indices of columns that are left out -> (n, k) residuals of frames held out, the other columns fitted on the other folds.
+
+    columns : (n, k, p) whitened; target : (n, k); information : (p, p) of all n, priors included; fold : (n,)
+    """
+    p = columns.shape[2]
+    rows = [fold == k for k in np.unique(fold)]
+    flat = [columns[r].reshape(-1, p) for r in rows]
+    rights = [X.T @ target[r].ravel() for X, r in zip(flat, rows)]
+    inverses = []
+    for X in flat:
+        H = information - X.T @ X
+        H[np.diag_indices_from(H)] *= 1 + FIRM
+        inverses.append(cho_solve(cho_factor(H), np.eye(p)))
+    sizes = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
+
+    def residuals(gone: np.ndarray) -> np.ndarray:
+        out = np.zeros(target.shape)
+        for r, X, P, size in zip(rows, flat, inverses, sizes):
+            less = size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone])
+            out[r] = target[r] - (X @ less).reshape(-1, target.shape[1])
+        return out
+
+    return residuals
+
+
+def signed_rank_gain(fall: np.ndarray) -> float:
+    """How surely stretches gain by a fall (n,) of squares, in standard errors: Wilcoxon's signed ranks, since a strong term's gains are uneven
+    (one stretch may hold most of it); none where their sum falls."""
+    by = np.bincount(stretches(len(fall), STRETCHES), weights=fall)
+    by = by[by != 0]
+    if by.sum() <= 0:
+        return 0.0
+    n = len(by)
+    return float(rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
+
+
+def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:
+    """The same by the sum over stretches in standard errors of that sum. beforehand : what squares fall by that belong to no frame: a misfit
+    that the prior on a nuisance alone shows is no stretch's, and has no rank"""
+    by = np.bincount(blocks(len(fall), min(20, len(fall) // 2)), weights=fall)
+    error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf
+    return float((by.sum() + beforehand) / max(error, 1e-300))

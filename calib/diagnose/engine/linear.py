@@ -1,0 +1,169 @@
+"""A linear model of whitened residuals in blocks, frame by frame, with the nuisances' directions taken out of all of them.
+
+Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances, Q orthonormal. Each block (corners, closures, poses) is
+a kind of measurement; its rows stand frame by frame, then what was known beforehand.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """name; unit : of the residual before whitening; residual : (m,) whitened, nuisances taken out
+    edges : (F + 1,) rows edges[f] : edges[f + 1] belong to frame f, those after the last to what was known beforehand"""
+
+    name: str
+    unit: str
+    residual: np.ndarray
+    edges: np.ndarray
+
+    @property
+    def frames_rows(self) -> slice:
+        """The rows that belong to frames."""
+        return slice(0, int(self.edges[-1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """k directions in all blocks. parts : one (m, k) for each block, None for nothing
+    inner : (F, L, k) coordinates in each frame's own freedoms, None for nothing"""
+
+    parts: tuple[np.ndarray | None, ...]
+    inner: np.ndarray | None = None
+
+    def __matmul__(self, sizes: np.ndarray) -> "Column":
+        """The directions (k, r) combined by sizes (k, r)."""
+        return Column(tuple(None if part is None else part @ sizes for part in self.parts), None if self.inner is None else self.inner @ sizes)
+
+    def __add__(self, other: "Column") -> "Column":
+        """Column of what two do together."""
+        parts = tuple(b if a is None else a if b is None else a + b for a, b in zip(self.parts, other.parts))
+        inner = other.inner if self.inner is None else self.inner if other.inner is None else self.inner + other.inner
+        return Column(parts, inner)
+
+    def take(self, index: list[int] | slice) -> "Column":
+        """The directions of an index, without inner coordinates."""
+        return Column(tuple(None if part is None else part[:, index] for part in self.parts))
+
+    @property
+    def count(self) -> int:
+        """How many directions there are."""
+        return next(part.shape[1] for part in self.parts if part is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projection:
+    """Of a Column on a LinearModel: onto : (r, k) on the nuisances' basis; right : (k,) with the residual; gram : (k, k), nuisances out."""
+
+    onto: np.ndarray
+    right: np.ndarray
+    gram: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearModel:
+    """Residuals in blocks with the span of the nuisances taken out.
+
+    blocks : (Block, ..); columns : Column (p) that spans the nuisances; half : (p, r), columns @ half orthonormal; None where they are so already
+    size : independent numbers that the residuals hold, nuisances taken off
+    projections, grams : (F, p) of each frame's residuals on orthonormal columns and (F, p, p) of these on themselves; None where the columns
+    are too many to keep them
+    """
+
+    blocks: tuple[Block, ...]
+    columns: Column
+    half: np.ndarray | None
+    size: int
+    projections: np.ndarray | None = None
+    grams: np.ndarray | None = None
+
+    @property
+    def frames(self) -> int:
+        """How many frames there are."""
+        return len(self.blocks[0].edges) - 1
+
+    def onto(self, products: np.ndarray) -> np.ndarray:
+        """Inner products with the columns (.., p) -> with the orthonormal basis (.., r)."""
+        return products if self.half is None else products @ self.half
+
+    def project(self, column: Column) -> Projection:
+        """Projection of a Column (k)."""
+        K, b, G = 0.0, 0.0, 0.0
+        for block, basis, part in reversed(list(zip(self.blocks, self.columns.parts, column.parts))):
+            if part is not None:
+                K, b, G = K + basis.T @ part, b + part.T @ block.residual, G + part.T @ part
+        K = K if self.half is None else self.half.T @ K
+        return Projection(K, b, G - K.T @ K)
+
+    def marginalise(self, column: Column) -> "LinearModel":
+        """The model with the directions of a Column (k) among the nuisances; its basis orthonormal and explicit."""
+        if self.half is not None:
+            raise ValueError("only a model whose nuisances' basis is explicit can take in more")
+        found = self.project(column)
+        half = orthonormal(found.gram)
+        lost, z = found.onto @ half, half.T @ found.right
+        more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.parts, column.parts)]
+        blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
+        columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.parts, more)))
+        return explicit(blocks, columns, self.size - half.shape[1])
+
+    def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
+        """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
+        if self.grams is not None:
+            return (self.projections + self.grams @ reach) @ onto.T
+        back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
+        out = np.zeros((self.frames, len(onto)))
+        for block, part in zip(self.blocks, self.columns.parts):
+            rows = part[block.frames_rows]
+            pushed = (rows @ back) * (block.residual[block.frames_rows] + rows @ size)[:, None]
+            out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
+        return out
+
+    def cost(self) -> float:
+        """Sum of squares of all blocks."""
+        return float(sum(block.residual @ block.residual for block in reversed(self.blocks)))
+
+
+def explicit(blocks: tuple[Block, ...], basis: Column, size: int) -> LinearModel:
+    """LinearModel of residuals that are free of an orthonormal basis, the frames' products kept."""
+    frames, p = len(blocks[0].edges) - 1, basis.count
+    rho, gram = np.zeros((frames, p)), np.zeros((frames, p, p))
+    for block, part in zip(blocks, basis.parts):
+        for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
+            rho[f] += part[a:b].T @ block.residual[a:b]
+            gram[f] += part[a:b].T @ part[a:b]
+    return LinearModel(blocks, basis, None, size, rho, gram)
+
+
+def orthonormal(gram: np.ndarray) -> np.ndarray:
+    """(p, r) combinations of columns with a Gram matrix (p, p) that are orthonormal: the columns' span, what is null left out."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / scale[:, None] / scale)
+    kept = values > RANK * values[-1]
+    return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+
+
+def joined(columns: list[Column]) -> Column | None:
+    """One Column of several over the same blocks, or None of none; what is nothing in one is zero beside the others."""
+    if not columns:
+        return None
+    parts = []
+    for n in range(len(columns[0].parts)):
+        rows = next((c.parts[n].shape[0] for c in columns if c.parts[n] is not None), None)
+        parts.append(None if rows is None else
+                     np.column_stack([np.zeros((rows, c.count)) if c.parts[n] is None else c.parts[n] for c in columns]))
+    shape = next((c.inner.shape[:2] for c in columns if c.inner is not None), None)
+    inner = None if shape is None else np.concatenate([np.zeros((*shape, c.count)) if c.inner is None else c.inner for c in columns], axis=2)
+    return Column(tuple(parts), inner)
+
+
+def cosine(model: LinearModel, a: Column, b: Column) -> float:
+    """Of the angle between two directions, nuisances taken out."""
+    one, other = model.project(a), model.project(b)
+    inner = -float((one.onto.T @ other.onto)[0, 0])
+    inner += sum(float((x.T @ y)[0, 0]) for x, y in zip(a.parts, b.parts) if x is not None and y is not None)
+    return inner / np.sqrt(max(float(one.gram[0, 0]) * float(other.gram[0, 0]), 1e-300))

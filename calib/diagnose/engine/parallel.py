@@ -1,0 +1,44 @@
+"""One function of many things on all cores: what it reads is inherited by forking, only what it found is sent back.
+
+Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
+"""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rig.processes import cores, gathered, pool_of
+
+FEW = 4  # things for each process, below which it is not worth starting any
+
+Progress = Callable[[int, int], None]  # called with (done, of)
+
+_inherited: tuple[Callable, Sequence] | None = None  # what the processes forked next are to call
+
+
+def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None) -> list:
+    """[function(thing)] in the things' order; what it changes elsewhere is lost, what it raises is raised here.
+
+    It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1.
+    progress : called with (done, of), or None
+    """
+    global _inherited
+    count = min(cores(), len(things) // FEW)
+    if count < 2 or "fork" not in multiprocessing.get_all_start_methods():
+        out = []
+        for thing in things:
+            out.append(function(thing))
+            if progress:
+                progress(len(out), len(things))
+        return out
+    _inherited = function, things
+    try:
+        with pool_of(count, "fork") as pool:
+            return gathered(pool, _call, range(len(things)), progress)
+    finally:
+        _inherited = None
+
+
+def _call(i: int) -> Any:
+    function, things = _inherited
+    return function(things[i])

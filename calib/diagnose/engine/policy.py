@@ -1,0 +1,62 @@
+"""Every threshold of the selection, with its reason; what an arm needs otherwise stands in `ARM`, with the reason beside it."""
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionPolicy:
+    """The thresholds by which terms are admitted, kept, named and told apart.
+
+    alpha : chance of a finding where there is nothing, over all effects, places and searches (Bonferroni)
+    delta_bic : of the Bayesian information criterion that a term must bring; 10 is "very strong" (Kass and Raftery 1995)
+    most : terms at once
+    tried : candidates that may fail on held-out stretches before the search ends
+    companions : of the greatest delta BIC; another axis' candidate with so much is admitted in the same step, inf for none
+    forward_gain : standard errors by which held-out stretches must gain for a term to be admitted, None where it is asked at the end alone
+    final_gain : standard errors by which they must gain for a term to stay at the end, None where it was asked when it was admitted
+    alike : minus twice the logarithm of odds, from which hypotheses are told apart (odds of 20 to 1)
+    cosine : between sensitivities, nuisances taken out, from which two hypotheses are the same
+    akin : between sensitivities, below which two hypotheses are different effects and no alternatives, whatever each explains
+    near : of a finding's delta chi-square; an alternative whose sensitivities are nearly the same lies no farther behind
+    alternative_alpha : chance above which an alternative explains nothing by itself
+    refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
+    takes_over : minus twice the logarithm of odds by which an alternative must lead to take a finding's place, inf for never
+    smooth_beyond : times a name's delta BIC, from which a smooth function without one explains so much more that no further name is given
+    smooth_anywhere : whether a smooth function at another place, likelier by `alike` than a name, takes that name away; one at its own always does
+    cluster : frames in a row whose errors may be alike, taken together where dispersion is judged
+    """
+
+    alpha: float = 1e-3
+    delta_bic: float = 10.0
+    most: int = 6
+    tried: int = 3
+    companions: float = float("inf")
+    forward_gain: float | None = 0.5
+    final_gain: float | None = None
+    alike: float = 6.0
+    cosine: float = 0.99
+    akin: float = 0.0
+    near: float = 0.03
+    alternative_alpha: float = 1e-4
+    refitted: int = 4
+    takes_over: float = 1.0
+    smooth_beyond: float = 2.0
+    smooth_anywhere: bool = True
+    cluster: int = 1
+
+
+PLATFORM = SelectionPolicy()
+
+ARM = replace(
+    PLATFORM,
+    most=24,  # an arm has six gears, six bearings and six loads of its own, where a platform's struts are alike and stiff
+    companions=0.4,  # each joint's turn is measured nearly apart from the others', so that several can be admitted on one look
+    forward_gain=None,  # a step admits several at once, each too small to tell by stretches until the others are in
+    final_gain=2.0,  # no alternative takes a term's place and nothing is refitted nonlinearly, so stretches are the last judge of it
+    akin=0.5,  # a sinusoid may stand for any smooth function of one joint: as good a score does not make another effect of it
+    refitted=0,  # terms are linear at their grid's node: the score is the refit
+    takes_over=float("inf"),  # a general profile beats its special case by chance; `simplified` decides between them instead
+    smooth_beyond=float("inf"),  # something unnamed always remains of a real arm, and is most often several gears not admitted yet
+    smooth_anywhere=False,  # for the same reason: what remains at one joint says little of a name at another
+    cluster=5,  # poses of a trajectory are neighbours: what a geometry leaves is alike in a row
+)

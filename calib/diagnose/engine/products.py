@@ -1,0 +1,94 @@
+"""Inner products frame by frame, from which every candidate's normal equations follow without its columns being made.
+
+A candidate moves each frame in a few directions (an axis longer, a camera's mount moved) by weights; so a search over thousands of
+hypotheses costs sums over frames alone.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave for it to count as seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameProducts:
+    """Of the directions (a) that a frame can be moved in. beta : (F, a) with the residual; gamma : (F, a, a) with each other;
+    kappa : (F, a, r) with the nuisances' orthonormal basis."""
+
+    beta: np.ndarray
+    gamma: np.ndarray
+    kappa: np.ndarray
+
+
+class Normal(NamedTuple):
+    """Normal equations of k candidates. b : (k, q) projections of the residual; G : (k, q, q) Gram matrices, nuisances taken out;
+    raw : (k, q) squares before they were"""
+
+    b: np.ndarray
+    G: np.ndarray
+    raw: np.ndarray
+
+
+class Solved(NamedTuple):
+    """delta_chi2 : (k,) by which the sum of squares falls; coefficients : k of (q,); rank : (k,) numbers that the data determine
+    seen : (k,) share of the candidate's own size that nuisances leave, 0..1"""
+
+    delta_chi2: np.ndarray
+    coefficients: list[np.ndarray]
+    rank: np.ndarray
+    seen: np.ndarray
+
+    @staticmethod
+    def of(parts: list["Solved"]) -> "Solved":
+        """Several one after the other."""
+        return Solved(np.concatenate([p.delta_chi2 for p in parts]), [c for p in parts for c in p.coefficients],
+                      np.concatenate([p.rank for p in parts]), np.concatenate([p.seen for p in parts]))
+
+
+def framewise(products: FrameProducts, weights: np.ndarray) -> Normal:
+    """Normal of candidates whose columns weigh the directions by weights (k, F, a, q)."""
+    k, F, a, q = weights.shape
+    rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
+    b = rows @ products.beta.ravel()
+    K = rows @ products.kappa.reshape(F * a, -1)
+    pushed = products.gamma * weights if a == 1 else products.gamma @ weights
+    G = rows @ pushed.reshape(k, F * a, q)
+    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
+
+
+def stepwise(products: FrameProducts, w: np.ndarray) -> Normal:
+    """Normal of candidates that weigh all directions (a) alike by w (k, F), one column for each direction."""
+    b = w @ products.beta
+    K = np.tensordot(w, products.kappa, 1)
+    G = np.tensordot(w**2, products.gamma, 1)
+    return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
+
+
+def solve(normal: Normal) -> Solved:
+    """Least squares in the directions that nuisances leave visible."""
+    b, G, raw = normal
+    scale = np.sqrt(np.maximum(raw, 1e-300))
+    values, vectors = np.linalg.eigh(G / scale[:, :, None] / scale[:, None, :])
+    kept = values > SWALLOWED
+    inverse = np.where(kept, 1 / np.where(kept, values, 1), 0)
+    z = np.einsum("kji,kj->ki", vectors, b / scale)
+    delta = (z**2 * inverse).sum(axis=1)
+    coefficients = np.einsum("kij,kj->ki", vectors, z * inverse) / scale
+    return Solved(delta, list(coefficients), kept.sum(axis=1), np.clip(values, 0, 1).max(axis=1))
+
+
+def solve_with_prior(normal: Normal, prior: np.ndarray | float) -> Solved:
+    """Least squares with coefficients normal about 0 with standard deviations (q,); the rank is the trace of what the data say against it."""
+    b, G, raw = normal
+    size = np.linalg.solve(G + np.eye(b.shape[1]) / np.square(prior), np.concatenate([b[..., None], G], axis=2))
+    rank = np.round(np.einsum("sqq->s", size[..., 1:]), 1)
+    return Solved((b * size[..., 0]).sum(axis=1), list(size[..., 0]), rank, np.ones(len(b)))
+
+
+def whole(normal: Normal) -> Solved:
+    """For candidates (q = 1) whose size is in their node: the coefficient is one."""
+    b, G, raw = normal.b[:, 0], normal.G[:, 0, 0], normal.raw[:, 0]
+    seen = G / np.maximum(raw, 1e-300)
+    return Solved(np.where(seen > SWALLOWED, 2 * b - G, 0.0), [np.zeros(0)] * len(b), np.zeros(len(b), int), np.clip(seen, 0, 1))

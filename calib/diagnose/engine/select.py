@@ -1,0 +1,211 @@
+"""Which terms: forward steps, backward checks, special cases before general ones, stretches held out, alternatives."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Generic
+
+import numpy as np
+
+from calib.diagnose.engine.alternatives import alike, alternatives_of, refitted
+from calib.diagnose.engine.candidates import Candidate
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.policy import SelectionPolicy
+from calib.diagnose.engine.problem import Fit, Model, Problem, Progress
+from calib.diagnose.engine.score import Alternative, Score
+
+DIGITS = 3  # of a node's values, by which hypotheses are told apart
+RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording cannot tell from it"""
+
+    number: int
+    score: Score
+    alternatives: list[Alternative]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection(Generic[Fit]):
+    """before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many candidates were"""
+
+    before: Fit
+    fit: Fit
+    findings: list[Finding]
+    asked: int
+
+
+def convincing(score: Score, count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
+    return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
+
+
+def labelled(progress: Progress | None, label: str) -> Any:
+    """A progress (done, of) under a label, or None."""
+    return None if progress is None else lambda done, of: progress(label, done, of)
+
+
+def labelled_part(progress: Progress | None, prefix: str) -> Progress | None:
+    """A progress (label, done, of) whose labels begin with a prefix, or None."""
+    return None if progress is None else lambda what, done, of: progress(prefix + what, done, of)
+
+
+def select(problem: Problem[Fit, Model], progress: Progress | None = None) -> Selection[Fit]:
+    """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
+    before = problem.start()
+    fit = pay(problem, problem.simplified(_forward(problem, before, progress)))
+    fit, findings = _confirm(problem, fit, progress)
+    return Selection(before, fit, findings, len(problem.candidates))
+
+
+def choose(problem: Problem[Fit, Model], progress: Progress | None = None) -> Fit:
+    """The Fit that `select` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
+    return pay(problem, problem.simplified(_forward(problem, problem.start(), progress)))
+
+
+def _forward(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) -> Fit:
+    """The Fit with terms admitted step by step; after each step, those that others have made needless go again."""
+    policy, count = problem.policy, len(problem.candidates)
+    taken: set[tuple] = set()
+    refused: list[Candidate] = []
+    while len(problem.terms(fit)) < policy.most:
+        model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
+        label = f"searching beside {admitted} effects" if admitted else "searching"
+        scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled(progress, label))
+        promising = [s for s in scores if convincing(s, count, problem.linear(model).size, policy)
+                     and key(s) not in taken and not any(s.candidate is c for c in refused)]
+        if not promising or (admitted and _smooth_beyond(problem, model, promising[0])):
+            break
+        step = _step(problem, fit, promising, scores, refused)
+        if step is None:
+            break
+        fit, score = step
+        taken.add(key(score))
+        fit = _companions(problem, fit, score, promising, taken, size)
+        fit = prune(problem, problem.refined(fit))
+    return fit
+
+
+def key(score: Score) -> tuple:
+    """What a hypothesis is known by: its name, place and node."""
+    node = tuple(sorted((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()))
+    return score.candidate.name, score.candidate.place, node
+
+
+def _step(problem: Problem[Fit, Model], fit: Fit, promising: list[Score], scores: list[Score], refused: list[Candidate]) -> tuple[Fit, Score] | None:
+    """(Fit, Score) with the first of the promising that predicts stretches held out; None where none of the first few does."""
+    least = problem.policy.forward_gain
+    for best in promising[: problem.policy.tried]:
+        trial = problem.add_term(fit, best)
+        if least is None or problem.heldout_gains(trial, [len(problem.terms(fit))])[0] > least:
+            return problem.finer(fit, trial, best, scores), best
+        refused.append(best.candidate)
+    return None
+
+
+def _companions(problem: Problem[Fit, Model], fit: Fit, best: Score, promising: list[Score], taken: set[tuple], size: int) -> Fit:
+    """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
+    policy, places = problem.policy, {best.candidate.place}
+    for score in promising:
+        close = score.raw_delta_bic(size) >= policy.companions * best.raw_delta_bic(size)
+        if score.candidate.place in places or not close or len(problem.terms(fit)) >= policy.most:
+            continue
+        places.add(score.candidate.place)
+        again = problem.companion(fit, score)
+        if again is not None and convincing(again, len(problem.candidates), size, policy):
+            taken.add(key(score))
+            fit = problem.add_term(fit, again)
+    return fit
+
+
+def _smooth_beyond(problem: Problem[Fit, Model], model: Model, best: Score) -> bool:
+    """Whether something that no name explains is larger than what the best name would."""
+    if not np.isfinite(problem.policy.smooth_beyond):
+        return False
+    size = problem.linear(model).size
+    return any(u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size) for u in problem.lack_of_fit(model) if u.dispersion)
+
+
+def prune(problem: Problem[Fit, Model], fit: Fit) -> Fit:
+    """The Fit without terms that the others have made needless."""
+    while problem.terms(fit):
+        gains = []
+        for number, candidate in enumerate(problem.terms(fit)):
+            wald = problem.wald(fit, number)
+            gains.append(wald.statistic - (wald.freedom + candidate.extra) * np.log(problem.size(fit)))
+        worst = int(np.argmin(gains))
+        if gains[worst] >= problem.policy.delta_bic:
+            break
+        fit = problem.remove_term(fit, worst)
+    return fit
+
+
+def pay(problem: Problem[Fit, Model], fit: Fit) -> Fit:
+    """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
+    least = problem.policy.final_gain
+    while least is not None and problem.terms(fit):
+        gains = problem.heldout_gains(fit, list(range(len(problem.terms(fit)))))
+        worst = int(np.argmin(gains))
+        if gains[worst] >= least:
+            break
+        fit = problem.remove_term(fit, worst)
+    return fit
+
+
+def _confirm(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding]]:
+    """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another does better, its
+    alternatives listed."""
+    policy, count = problem.policy, len(problem.candidates)
+    findings: list[Finding] = []
+    for _ in range(RESTARTS * policy.most):
+        number = len(findings)
+        if number == len(problem.terms(fit)):
+            break
+        model, size = problem.without_term(fit, number), problem.size(fit)
+        own = problem.rescored(model, fit, number)
+        if not convincing(own, count, size, policy) or _outdone(problem, model, own):  # beside all others it is none
+            fit, findings = problem.remove_term(fit, number), []
+            continue
+        found = alternatives_of(problem, model, own, labelled(progress, f"alternatives of {own.candidate.name}"))
+        tries = refitted(problem, fit, number, own, found)
+        rest = [a for a in found if not any(a is t.scanned for t in tries)]
+        ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
+        better = next((t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None)
+        if better is not None and convincing(better.alternative.score, count, size, policy):
+            fit, findings = problem.in_place(better.fit, number), []
+            continue
+        findings.append(Finding(number, own, [a for a in ranked if alike(a, policy)]))
+    return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
+
+
+def _outdone(problem: Problem[Fit, Model], model: Model, score: Score) -> bool:
+    """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show,
+    or the place is another."""
+    if score.candidate.vector:
+        return False
+    size, place = problem.linear(model).size, score.candidate.place
+    smooth = [u.evidence(size) for u in problem.lack_of_fit(model)
+              if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))]
+    return bool(smooth) and max(smooth) > score.evidence(size) + problem.policy.alike
+
+
+def supported(problem: Problem[Fit, Model], selection: Selection[Fit], left: list[LackOfFit]) -> Selection[Fit]:
+    """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
+    as well, or which explain less than they leave at their place."""
+    fit, gone = selection.fit, []
+    for f in selection.findings:
+        model = problem.covered(fit, f.number, left)
+        if model is None:
+            continue
+        larger = any(u.delta_chi2 > f.score.delta_chi2 for u in left if u.depends_on and problem.within(u, f.score.candidate.place))
+        if larger or not stands(problem, f, model, fit, selection.asked):
+            gone.append(f.number)
+    for number in sorted(gone, reverse=True):
+        fit = problem.remove_term(fit, number)
+    kept = [f for f in selection.findings if f.number not in gone]
+    return replace(selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept])
+
+
+def stands(problem: Problem[Fit, Model], finding: Finding, model: Model, fit: Fit, count: int) -> bool:
+    """Whether a Finding convinces on a model without it, of so many candidates asked."""
+    return convincing(problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy)

@@ -1,0 +1,57 @@
+"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors, unnamed; scatter."""
+
+import numpy as np
+
+from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
+from calib.diagnose.problems.arm.candidates import place_of
+from calib.diagnose.problems.arm.fit import Fit
+from calib.diagnose.problems.arm.poses import Arms
+from calib.diagnose.problems.arm.repeats import Repeats
+from calib.diagnose.problems.arm.search import joint_products
+from rig.effects.compliance import distinct
+
+KNOTS = 8  # of a smooth function of time
+PRIOR = 1e-3  # rad; size of a coefficient
+CERTAIN = 30.0  # standard errors, from which a chance is as good as none
+
+
+def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1) -> list[LackOfFit]:
+    """[LackOfFit] that the residuals of a Fit still hold, the largest first; last, scatter beyond the instrument's own.
+
+    again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
+    """
+    arms, found = fit.arms, []
+    for j in range(arms.q.shape[1]):
+        products = joint_products(fit, j)
+        information = float(products.gamma.sum())
+        for depends, basis in _bases(arms, j):
+            test = Test(place_of(j), "rad", (depends,), basis[fit.used][:, None, :], information, PRIOR)
+            found.append(tested(fit.linear, products, test, cluster))
+    out = sorted(convincing(found), key=lambda u: -u.delta_chi2)
+    return [*out, *_scatter(fit, again)]
+
+
+def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
+    """[(depends on, (n, q) smooth functions of it)] for a joint."""
+    others = np.delete(arms.q, j, axis=1)
+    moves = np.sign(np.diff(arms.q[:, j], prepend=arms.q[0, j]))
+    out = [("pose", np.concatenate([np.sin(others), np.cos(others)], axis=1)), ("time", _hats(arms.t)), ("history", moves[:, None])]
+    links = arms.context.motion.links()[:, j]
+    turning = links[:, distinct(links)]
+    if turning.shape[1]:
+        out.append(("torque", np.sign(turning)))
+    return out + [(name, ((v - v.mean()) / v.std())[:, None]) for name, v in arms.channels.items() if np.ptp(v) > 0]
+
+
+def _scatter(fit: Fit, again: Repeats | None) -> list[LackOfFit]:
+    if fit.scatter[0] <= 0:
+        return []
+    own = np.einsum("nkk->nk", fit.arms.own)[:, :3].mean()
+    depends = ("configuration",) if again is not None and again.p_value < ALPHA else ()
+    ratio = (fit.scatter[0] ** 2 / own) * np.sqrt(1.5 * fit.used.sum())
+    return [LackOfFit("rig", float(fit.scatter[0] * np.sqrt(3)), "m", depends, float(np.exp(-0.5 * min(ratio, CERTAIN) ** 2)), float(ratio**2))]
+
+
+def _hats(t: np.ndarray) -> np.ndarray:
+    x = np.linspace(t[0], t[-1], KNOTS)
+    return np.stack([np.interp(t, x, row) for row in np.eye(KNOTS)[1:]], axis=1)

@@ -1,0 +1,136 @@
+"""Every effect of the catalogue at every place of a platform where a recording can be asked for it."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from rig.effects import ALL
+from rig.effects.base import Context, Effect
+from rig.effects.candidate import COUNT, QUADRATURE
+from rig.effects.candidate import Candidate as EffectCandidate
+from rig.errors import RigError
+
+SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
+SEARCHED = ("log", "even", "moment")  # roles of parameters that mean nothing without the effect
+
+
+class Reach(Enum):
+    """What an effect changes, and so how its columns are made: axes' lengths, a camera's mount, what is seen, a spectrum of frequencies."""
+
+    AXES = "axes"
+    MOUNT = "mount"
+    VIEW = "view"
+    SPECTRUM = "spectrum"
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PlatformCandidate(Candidate):
+    """An effect at a place. spec : as the effect states it."""
+
+    spec: EffectCandidate
+
+    @property
+    def kind(self) -> type[Effect]:
+        """The class of the effect."""
+        return self.spec.kind
+
+    @property
+    def seen_alone(self) -> bool:
+        """Whether it changes only what is seen, and moves nothing."""
+        return seen_alone(self.kind)
+
+    @property
+    def reach(self) -> Reach:
+        """What it changes."""
+        if any(p.role == "frequency" for p in self.kind.parameters):
+            return Reach.SPECTRUM
+        if not self.seen_alone:
+            return Reach.AXES
+        return Reach.MOUNT if self.kind.mount is not Effect.mount else Reach.VIEW
+
+    @property
+    def profile(self) -> bool:
+        """Whether it is a curve of as many numbers as its variant says."""
+        return COUNT in self.grid[0] and not self.seen_alone
+
+    def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
+        """The effect of a node with coefficients (q,) of its linear parameters."""
+        return self.spec.effect(node, coefficients)
+
+    def allowed(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients (q,) within the bounds; a sinusoid's two together within its amplitude's."""
+        linear = self.spec.linear
+        if len(coefficients) != 2 or linear[1].name != QUADRATURE:
+            return Candidate.allowed(self, coefficients)
+        high, size = next(p for p in self.kind.parameters if p.name == linear[0].name).at(self.place).bounds[1], np.hypot(*coefficients)
+        return coefficients * (min(size, high) / size if size else 1.0)
+
+    def numbers(self, node: Node, coefficients: np.ndarray) -> dict[str, float]:
+        """{name: value} of what `usual` speaks of."""
+        effect = self.effect(node, coefficients)
+        return {u.name: getattr(effect, u.name) for u in self.usual or ()}
+
+
+def seen_alone(kind: type[Effect] | Effect) -> bool:
+    """Whether an effect changes only what is seen, and moves nothing."""
+    return kind.stage in ("targets", "view")
+
+
+def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[PlatformCandidate], list[NotAsked]]:
+    """(candidates, what cannot be asked) of an OperatingPoint, of the catalogue as far as it is asked for."""
+    out, skipped, sites, context = [], [], {}, context_of(point)
+    for kind in ALL:
+        if not asked.touches(kind.name):
+            continue
+        try:
+            sites[kind.name] = kind.sites(context)
+            if kind.discrete:  # a face that nobody saw may have been exchanged as well
+                sites[kind.name] = tuple(f"marker {number}" for number in point.seen.markers.id)
+                continue
+            for place in sites[kind.name]:
+                if asked.place(kind.name, place):
+                    out += [candidate_of(spec) for spec in kind.candidates(place, context)]
+        except RigError as error:
+            skipped.append(NotAsked(kind.name, str(error)))
+    asked.check(sites)
+    return out, [s for s in skipped if asked.name(s.effect)]
+
+
+def context_of(point: OperatingPoint) -> Context:
+    """The effects' Context of an OperatingPoint."""
+    k, seen = point, {}
+    if k.seen is not None:
+        rows, markers = np.unique(k.seen.observations.marker), k.seen.markers
+        targets = {markers.target[m] for m in rows}
+        seen = {"cameras": tuple(k.design.cameras[i].name for i in np.unique(k.seen.observations.camera)),
+                "markers": tuple(int(markers.id[m]) for m in rows), "targets": tuple(t.name for t in k.stated.targets if t.name in targets)}
+    return Context(k.stated, k.t, k.sensors, k.motion(()) if k.axes else None, moving=tuple(k.design.cameras[i].name for i in k.moving), **seen)
+
+
+def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
+    """PlatformCandidate of what an effect states, with what rigs show of its parameters."""
+    node, parameters = spec.shapes[0], spec.kind.parameters_at(spec.place)
+    named = {column.name for column in spec.linear} | set(node)
+    usual = tuple(UsualRange(p.name, *p.usual, p.signed, Role(p.role)) for p in parameters if p.size == 1 and p.name in named and p.role in SIZED)
+    return PlatformCandidate(name=spec.kind.name, place=spec.place, grid=spec.shapes, label=spec.label, extra=spec.extra, tied=spec.tied, usual=usual,
+                             searched=any(p.role in SEARCHED and p.name in node for p in parameters), bounds=bounds_of(spec),
+                             vector=any(column.index is not None for column in spec.linear), spec=spec)
+
+
+def bounds_of(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
+    """(low (q,), high (q,)) of the coefficients of linear parameters, where the parameters' bounds end; none for a sinusoid's."""
+    by, ends = {p.name: p for p in spec.kind.parameters_at(spec.place)}, []
+    for column in spec.linear:
+        if any(c.name == QUADRATURE for c in spec.linear):
+            ends.append((-np.inf, np.inf))
+        elif by[column.name].role == "inverse":
+            low, high = by[column.name].bounds
+            ends.append((1 / high if high else np.inf, 1 / low if low > 0 else np.inf))
+        else:
+            ends.append(by[column.name].bounds)
+    low, high = np.array(ends, float).reshape(-1, 2).T
+    return low, high

@@ -1,0 +1,119 @@
+"""A platform's recording, or a hand-moved body's, -> its Diagnosis: which effect sits where, how large, how sure, what nobody can name."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from calib.diagnose.engine.candidates import NotAsked
+from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.problem import Progress
+from calib.diagnose.engine.select import Selection, select, supported
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.platform.candidates import platform_candidates
+from calib.diagnose.problems.platform.heldout import cross_validate_blocks
+from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
+from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
+from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.temperatures import unlogged, widened
+from calib.store import Calibration
+from rig.effects.base import Effect
+from rig.effects.face_misplacement import FaceMisplacement
+from rig.effects.marker_swap import MarkerSwap
+from rig.origin import Origin
+from rig.recording import Recording
+from vision.places import Move, moves
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations of what was measured, cameras known: px of a corner, m and rad of a pose, m of a strut; None where there is none."""
+
+    corner_px: float | None
+    pose_m: float
+    pose_rad: float | None
+    strut_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformDiagnosis:
+    """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
+    moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
+    selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
+    left : [LackOfFit]; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by"""
+
+    recording: str
+    source: str
+    swapped: list[MarkerSwap]
+    moved: list[Move]
+    selection: Selection[PlatformFit]
+    cross_validations: list[CrossValidation]
+    fits: dict[str, CrossValidation]
+    left: list[LackOfFit]
+    not_asked: list[NotAsked]
+    noise: Noise
+    origin: Origin = Origin()
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The admitted effects, in the findings' order."""
+        return [self.selection.fit.refined.point.effects[f.number] for f in self.selection.findings]
+
+    @property
+    def fit(self) -> CrossValidation:
+        """Of all together, where the first finding shows: in closures where there is none."""
+        found = self.selection.findings
+        seen = "closures" not in self.fits or bool(found) and found[0].score.candidate.seen_alone
+        return self.fits["corners" if seen else "closures"]
+
+
+@threadpool_limits.wrap(limits=1)
+def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
+             calibration: Calibration | None = None) -> PlatformDiagnosis:
+    """PlatformDiagnosis of a Recording.
+
+    only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
+    progress : called with (label, done, of), or None
+    calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
+    shows, and what has changed since. Raises NotEnoughData where too little was measured, and what measuring raises
+    """
+    asked = Asked(tuple(only or ()), tuple(without))
+    point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated")
+    moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
+    swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
+    point = within_reach(exchanged(point, swapped))
+    candidates, not_asked = platform_candidates(point, asked)
+    problem = PlatformProblem(point, candidates)
+    selection = select(problem, progress)
+    left = problem.lack_of_fit(problem.residual(selection.fit))
+    if left:
+        selection = supported(problem, selection, left)
+        left = problem.lack_of_fit(problem.residual(selection.fit))
+    selection = unlogged(problem, selection)
+    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined)))
+    refined = selection.fit.refined
+    proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
+    blocks = {"corners": CORNERS} if point.seen is not None else {}
+    blocks |= {"closures": CLOSURES} if point.axes else {}
+    fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
+    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, not_asked,
+                             _noise(refined.model), recording.origin)
+
+
+def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:
+    """Whether an exchange is asked for at one of its two markers, and left out at neither."""
+    places = [effect.place, *([f"marker {int(effect.other)}"] if effect.other >= 0 else [])]
+    return any(asked.place(effect.name, p) for p in places) and not any(f"{effect.name} {p}" in asked.without for p in places)
+
+
+def _noise(model: LinearisedModel) -> Noise:
+    k, to_local = model.point, model.corners.to_local[:, :6]
+    covariance = k.own if k.own is not None else to_local @ np.swapaxes(to_local, 1, 2)
+    return Noise(model.corner_noise() or None, _length(covariance[:, :3, :3]), _length(covariance[:, 3:, 3:]),
+                 float(np.sqrt(np.mean(model.strut_noise()))) if k.axes else None)
+
+
+def _length(covariance: np.ndarray) -> float:
+    return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean()))

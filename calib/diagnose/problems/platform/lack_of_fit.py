@@ -1,0 +1,101 @@
+"""What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and markers."""
+
+import numpy as np
+from scipy.stats import norm
+
+from calib.diagnose.engine.lack_of_fit import LackOfFit, Test, convincing, tested
+from calib.diagnose.engine.products import FrameProducts
+from calib.diagnose.problems.platform.corners import MEDIAN
+from calib.diagnose.problems.platform.linearised import LinearisedModel
+from calib.diagnose.problems.platform.search import axis_products, corner_products
+from calib.diagnose.problems.platform.smooth import FAST, SLOW, in_time, marker_pixels, strut_weights, view_pixels, warp_pixels
+from rig.effects.lens_distortion import LensDistortion
+
+MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
+FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
+PARTS = {"rig": ("strut ", "rig"), "clock": ("strut ", "rig"), "cameras": ("camera ",), "markers": ("marker ",)}  # of places that take in others
+
+
+def within(left: LackOfFit, place: str) -> bool:
+    """Whether what is left sits where an effect at a place does, or at a part of it."""
+    return left.place == place or left.place.startswith(PARTS.get(place, ()))
+
+
+def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
+    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the nuisances."""
+    k, out = model.point, []
+    if k.axes:
+        out += _struts(model)
+    if k.seen is not None:
+        out += _cameras(model) + _markers(model)
+    return convincing(out)
+
+
+def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
+    k = model.point
+    products = axis_products(model)
+    each = np.einsum("fii->i", products.gamma)
+    out = [tested(model.linear, products, Test(place, "m", (depends,), weights, each[weights.any(axis=(0, 2))].sum()))
+           for depends, strutwise in strut_weights(k) for place, weights in strutwise]
+    inverse, own = np.linalg.inv(model.closures.W), model.strut_noise()
+    left = (inverse @ model.closure_residual[: len(k.t) * k.axes].reshape(len(k.t), k.axes, 1))[..., 0]
+    following = np.clip(left / np.sqrt(own), -FAR, FAR)[np.argsort(k.t)]
+    for i in range(k.axes):
+        alike = float(following[1:, i] @ following[:-1, i])
+        size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
+        out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(norm.sf(alike / np.sqrt(len(k.t) - 1))), max(alike, 0.0)))
+    scatter = model.closures.scatter
+    for i in np.flatnonzero(scatter > 0):
+        noise = own[:, i].mean() - scatter[i] ** 2
+        middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
+        ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
+        if ratio > 0:
+            out.append(LackOfFit(f"strut {i + 1}", float(scatter[i]), "m", (), float(norm.sf(ratio)), float(ratio**2)))
+    return out
+
+
+def _cameras(model: LinearisedModel) -> list[LackOfFit | None]:
+    k, out = model.point, []
+    for i, camera in enumerate(k.design.cameras):
+        count = np.count_nonzero(k.seen.observations.camera == i)
+        if not count:
+            continue
+        place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
+        if i not in k.moving:
+            products = corner_products(model, view_pixels(model, place))
+            out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, cosines), information)) for cosines in (SLOW, FAST)]
+            out.append(_following(products, np.argsort(k.t), place, information))
+        if any(type(e) is LensDistortion and e.place == place for e in k.effects):
+            continue  # what its image still bends by belongs to the lens that was named
+        out.append(_still(model, warp_pixels(k, i), place, "image position", information))
+    return out
+
+
+def _markers(model: LinearisedModel) -> list[LackOfFit | None]:
+    k, out = model.point, []
+    ids, counts = np.unique(k.seen.markers.id[k.seen.sightings.marker], return_counts=True)
+    pixels = marker_pixels(k, ids)
+    own = pixels.shape[2] // max(len(ids), 1)
+    for j, (number, count) in enumerate(zip(ids, counts)):
+        part = pixels[:, :, j * own : (j + 1) * own]
+        out.append(_still(model, part, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2))
+    return out
+
+
+def _still(model: LinearisedModel, pixels: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
+    """LackOfFit of corner displacements (n, 2, q) px that are the same in every frame."""
+    products = corner_products(model, pixels)
+    weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
+    return tested(model.linear, products, Test(place, "px", (depends,), weights, information))
+
+
+def _following(products: FrameProducts, order: np.ndarray, place: str, information: float) -> LackOfFit:
+    """LackOfFit of a camera that moves in any way by which exposures that follow each other look alike."""
+    beta, gamma = products.beta[order], products.gamma[order]
+    scale = np.sqrt(np.maximum(np.einsum("faa->a", gamma), 1e-300))
+    beta, gamma = beta / scale, gamma / scale[:, None] / scale
+    M = np.linalg.pinv(gamma.mean(axis=0), rcond=1e-6, hermitian=True)
+    alike = float(np.einsum("fa,ab,fb->", beta[1:], M, beta[:-1]))
+    chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
+    p = float(norm.sf(alike / max(chance, 1e-300)))
+    return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))

@@ -1,0 +1,201 @@
+"""What is taken as known while the rest is questioned: cameras, geometry, poses and the effects admitted so far."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.diagnose.engine.problem import Progress
+from calib.diagnose.problems.temperature_smoothing import smoothed
+from calib.pipeline import sample_recording
+from calib.store import Calibration
+from rig import machine, mechanisms
+from rig.design import Camera, Design, Hexapod, Planar2
+from rig.effects.base import Effect, Motion
+from rig.effects.edge_bias import EdgeBias
+from rig.errors import NotEnoughData, RigError
+from rig.pose import exp
+from rig.recording import Commands, Recording, Sensors
+from vision.measure import Measurement
+from vision.observations import Observations
+from vision.predict import Sightings, State, see
+from vision.recorded import measure_recording
+from vision.targets import MarkerMap, marker_map
+
+KINDS = ("hexapod", "planar2", "free")  # of mechanisms
+FEWEST = 12  # frames
+GROSS = 60.0  # px; a corner farther off belongs to something else
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The corners of a recording and which sightings they belong to.
+
+    observations : Observations of solved frames, frame an index into OperatingPoint.frames; markers : MarkerMap
+    sightings : Sightings (k,); row : (n,) sighting of each corner
+    """
+
+    observations: Observations
+    markers: MarkerMap
+    sightings: Sightings
+    row: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OperatingPoint:
+    """One point at which everything is linearised.
+
+    design : Design, cameras and mechanism as estimated; stated : Design of the owner; frames, t : (F,)
+    T : T_base_platform (F,); moving : {camera index: T_base_camera (F,)}
+    own : (F, 6, 6) covariance of poses that an outside instrument measured, or None
+    commands : Commands or None; sensors : Sensors, temperatures smoothed, or None; seen : Seen or None; effects : those admitted
+    finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
+    standing : px, what comes back in every frame where neither camera nor marker moves
+    known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
+    log_errors : {channel: (n, q)} of the sensors' temperatures, see weather.smoothed
+    """
+
+    design: Design
+    stated: Design
+    frames: np.ndarray
+    t: np.ndarray
+    T: RigidTransform
+    moving: dict[int, RigidTransform]
+    own: np.ndarray | None
+    commands: Commands | None
+    sensors: Sensors | None
+    seen: Seen | None
+    effects: tuple[Effect, ...] = ()
+    finder: tuple[float, ...] = ()
+    standing: float = 0.0
+    known: tuple[Hexapod, np.ndarray] | None = None
+    log_errors: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def state(self) -> State:
+        """State of cameras and poses, as the forward model of seeing takes it."""
+        return State(self.design.cameras, self.T, self.moving)
+
+    @property
+    def axes(self) -> int:
+        """How many struts are commanded, 0 where nothing is."""
+        return len(self.design.mechanism.axes) if self.commands is not None else 0
+
+    def motion(self, effects: Iterable[Effect]) -> Motion:
+        """Motion at the exposures under effects, at the measured poses."""
+        return replace(machine.motion(self.design, self.commands, self.t, effects, self.sensors), T=self.T)
+
+    def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
+        """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
+        effects = self.effects if effects is None else effects
+        motion = self.motion(effects)
+        out = motion.lengths + sum((e.deviation(motion) for e in effects), np.zeros(motion.lengths.shape))
+        sway = sum((e.sway(motion) for e in effects), np.zeros((len(self.t), 6)))
+        return out + self.swayed(sway) if sway.any() else out
+
+    def swayed(self, sway: np.ndarray) -> np.ndarray:
+        """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
+        m = self.design.mechanism
+        return np.einsum("fij,fj->fi", mechanisms.of(m).jacobian(self.T, m), sway)
+
+    def closures(self) -> np.ndarray:
+        """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
+        m = self.design.mechanism
+        return mechanisms.of(m).inverse(self.T, m) - self.effective()
+
+    def run(self, effects: tuple[Effect, ...]) -> machine.Run | None:
+        """machine.Run with rates where some camera exposes row by row, else None."""
+        rolls = any(c.shutter == "rolling" for c in self.design.cameras) or any(e.rolls for e in effects)
+        return machine.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
+            if rolls and self.commands is not None else None
+
+    def pixels(self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | slice | None = None, run: machine.Run | None = None) -> np.ndarray:
+        """(n, 2) px where the observed corners should be under effects (those admitted, by default).
+
+        rows : sightings (mask or index) to which it is confined, then (k, 4, 2) px of those
+        """
+        effects = self.effects if effects is None else effects
+        seen = self.seen
+        run = self.run(effects) if run is None else run
+        sightings = seen.sightings if rows is None else seen.sightings.take(rows)
+        shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
+        quads = see(sightings, self.state, seen.markers, self.t, [*effects, *shifted], self.sensors, run)
+        return quads if rows is not None else quads[seen.row, seen.observations.corner]
+
+    def with_effects(self, effects: Iterable[Effect]) -> "OperatingPoint":
+        """The same with other effects admitted."""
+        return replace(self, effects=tuple(effects))
+
+
+def of_recording(recording: Recording, progress: Progress | None = None, calibration: Calibration | None = None,
+                 places: str = "auto") -> tuple[OperatingPoint, str, Measurement | None]:
+    """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
+
+    calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
+    places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
+    Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring raises
+    """
+    design, (sensors, log_errors) = recording.design, smoothed(recording.sensors)
+    kind = design.mechanism.kind
+    if kind not in KINDS:
+        raise RigError(f"{recording.folder}: diagnosing takes a {' or '.join(KINDS)}, not a mechanism of kind {kind!r}; "
+                       "rig calibrate says what its geometry leaves")
+    known = None if calibration is None else _known(recording, calibration)
+    if kind == "free" or recording.commands is None:
+        measured, collected = measure_recording(recording, progress=progress, places=places if kind == "free" else "stated")
+        source = "images" if collected is not None else "corners.csv"
+    else:
+        sampled = sample_recording(recording, progress=progress)
+        measured, source = sampled.measurement, sampled.source
+        if measured is None:
+            s = sampled.samples
+            return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, sensors, None,
+                                  known=known, log_errors=log_errors), source, None
+    if len(measured.frames) < FEWEST:
+        raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes {FEWEST}, better 100")
+    frames, times = recording.exposures.times()
+    state = measured.adjustment.state
+    point = OperatingPoint(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
+                           state.moving, None, recording.commands if kind != "free" else None, sensors, None, known=known, log_errors=log_errors)
+    return replace(point, seen=_seen(measured, point)), source, measured
+
+
+def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, np.ndarray]:
+    """(mechanism, root of the information) that a calibration says of a hexapod's joints. Raises RigError for another kind."""
+    fitted = calibration.correction.fitted
+    if recording.design.mechanism.kind != "hexapod" or fitted.kind != "hexapod":
+        raise RigError(f"{recording.folder}: a calibration can be taken as known of a hexapod alone")
+    return fitted, np.linalg.cholesky(np.linalg.inv(calibration.covariance)).T
+
+
+def _seen(measured: Measurement, point: OperatingPoint) -> Seen:
+    o = measured.observations
+    keep = np.isin(o.frames[o.frame], measured.frames)
+    kept = o.take(keep)
+    kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
+    return seen_of(kept, measured.adjustment.state.markers if measured.places_free else marker_map(point.stated))
+
+
+def within_reach(point: OperatingPoint) -> OperatingPoint:
+    """The same without corners so far from where they should be that they belong to something else."""
+    seen = point.seen
+    if seen is None:
+        return point
+    near = np.linalg.norm(seen.observations.uv - point.pixels(), axis=1) < GROSS
+    return point if near.all() else replace(point, seen=seen_of(seen.observations.take(near), seen.markers))
+
+
+def seen_of(observations: Observations, markers: MarkerMap) -> Seen:
+    """Seen of observations (n,), grouped into sightings."""
+    key = (observations.camera * (len(observations.frames) + 1) + observations.frame) * (len(markers.id) + 1) + observations.marker
+    _, first, row = np.unique(key, return_index=True, return_inverse=True)
+    sightings = Sightings(observations.frame[first], observations.camera[first], observations.marker[first])
+    return Seen(observations, markers, sightings, row)
+
+
+def moved(point: OperatingPoint, cameras: list[Camera], mechanism: Hexapod | Planar2, local: np.ndarray) -> OperatingPoint:
+    """OperatingPoint with cameras and mechanism replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
+    moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
+    return replace(point, design=replace(point.design, cameras=tuple(cameras), mechanism=mechanism),
+                   T=point.T * exp(local[:, :6]), moving=moving)

@@ -1,0 +1,153 @@
+"""A platform seen by cameras, commanded by struts' lengths, or both, as the engine asks it: effects are fitted with cameras, geometry, poses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.linear import Column, LinearModel
+from calib.diagnose.engine.policy import PLATFORM, SelectionPolicy
+from calib.diagnose.engine.problem import Wald
+from calib.diagnose.engine.score import Score
+from calib.diagnose.problems.platform import lack_of_fit as remainder
+from calib.diagnose.problems.platform.candidates import PlatformCandidate
+from calib.diagnose.problems.platform.coordinates import tangents
+from calib.diagnose.problems.platform.heldout import cross_validate
+from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel, linearise
+from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.problems.platform.refine import Refined, add_term, refine, refine_standing, remove_term
+from calib.diagnose.problems.platform.search import column_of, search
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.diagnose.problems.platform.smooth import cover, covered
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformFit:
+    """refined : Refined of the admitted effects; terms : the candidates that they come from, in the same order."""
+
+    refined: Refined
+    terms: tuple[PlatformCandidate, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class PlatformProblem:
+    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; sensitivities : kept from search to search."""
+
+    point: OperatingPoint
+    candidates: list[PlatformCandidate]
+    policy: SelectionPolicy = PLATFORM
+    sensitivities: Sensitivities = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sensitivities = Sensitivities(self.point)
+
+    def start(self) -> PlatformFit:
+        return PlatformFit(refine(self.point, self.sensitivities))
+
+    def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
+        return list(fit.terms)
+
+    def size(self, fit: PlatformFit) -> int:
+        return fit.refined.model.size
+
+    def residual(self, fit: PlatformFit) -> LinearisedModel:
+        return fit.refined.marginalised
+
+    def without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
+        return self.marginalised(self.beside(fit, number))
+
+    def beside(self, fit: PlatformFit, number: int) -> LinearisedModel:
+        """LinearisedModel without an admitted effect, the others' parameters not among the nuisances yet. What moves corners is first taken up by
+        cameras and poses as far as they can: corners that it moved far would be clipped, and what it does would no longer be linear."""
+        k = fit.refined.point
+        if fit.terms[number].seen_alone:
+            return refine_standing(remove_term(fit.refined, number), self.sensitivities).model
+        return linearise(k.with_effects(e for i, e in enumerate(k.effects) if i != number))
+
+    def marginalised(self, model: LinearisedModel) -> LinearisedModel:
+        """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
+        _, column = tangents(model, self.sensitivities)
+        return model if column is None else model.marginalise(column)
+
+    def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
+        model = self.beside(fit, number)
+        return self.marginalised(covered(model, *cover(model, left)))
+
+    def linear(self, model: LinearisedModel) -> LinearModel:
+        return model.linear
+
+    def open(self, fit: PlatformFit) -> list[PlatformCandidate]:
+        return self.candidates
+
+    def search(self, model: LinearisedModel, candidates: list[PlatformCandidate], least: float = -np.inf,
+               progress: Callable[[int, int], None] | None = None) -> list[Score]:
+        self.sensitivities = self.sensitivities.at(model.point)
+        return search(model, candidates, self.sensitivities, progress)
+
+    def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> Score:
+        return self.search(model, [fit.terms[number]])[0]
+
+    def aliases(self, model: LinearisedModel, own: Score, score: Score) -> list[Score]:
+        return []
+
+    def column(self, model: LinearisedModel, score: Score) -> Column:
+        column = column_of(model, score.candidate, score.node, self.sensitivities.at(model.point))
+        theta = score.coefficients if len(score.coefficients) else np.ones(1)
+        return Column(column.parts) @ theta[:, None]
+
+    def add_term(self, fit: PlatformFit, score: Score) -> PlatformFit:
+        refined = add_term(fit.refined, score, self.sensitivities.at(fit.refined.point))
+        return PlatformFit(refined, (*fit.terms, score.candidate))
+
+    def companion(self, fit: PlatformFit, score: Score) -> Score | None:
+        return self.search(self.residual(fit), [score.candidate])[0]
+
+    def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
+        return PlatformFit(refine(remove_term(fit.refined, number), self.sensitivities), fit.terms[:number] + fit.terms[number + 1 :])
+
+    def in_place(self, fit: PlatformFit, number: int) -> PlatformFit:
+        k = fit.refined.point
+        order = [*k.effects[:number], k.effects[-1], *k.effects[number:-1]]
+        terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
+        return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
+
+    def finer(self, fit: PlatformFit, trial: PlatformFit, score: Score, scores: list[Score]) -> PlatformFit:
+        """The best number of knots of a profile just admitted: before, what a coarse one leaves counted as scatter."""
+        if not score.candidate.profile:
+            return trial
+        others = [s for s in scores if (s.candidate.name, s.candidate.place) == (score.candidate.name, score.candidate.place)
+                  and s.candidate is not score.candidate]
+        trials = [trial, *(self.add_term(fit, s) for s in others)]
+        least = min(t.refined.point.standing for t in trials)
+        return min(trials, key=lambda t: t.refined.likelihood(least) + len(t.refined.coordinates) * np.log(t.refined.model.size))
+
+    def refined(self, fit: PlatformFit) -> PlatformFit:
+        return fit  # whatever is admitted is refined at once
+
+    def simplified(self, fit: PlatformFit) -> PlatformFit:
+        return fit  # a special case is a name of its own, and its alternatives are held against it
+
+    def wald(self, fit: PlatformFit, number: int) -> Wald:
+        return Wald(*fit.refined.wald(number))
+
+    def likelihood_ratio(self, fit: PlatformFit, other: PlatformFit) -> float:
+        least = min(fit.refined.point.standing, other.refined.point.standing)
+        return fit.refined.likelihood(least) - other.refined.likelihood(least)
+
+    def heldout_gains(self, fit: PlatformFit, numbers: list[int]) -> list[float]:
+        return [self.cross_validation(fit, number).gain for number in numbers]
+
+    def cross_validation(self, fit: PlatformFit, number: int) -> CrossValidation:
+        return cross_validate(fit.refined, {number}, self.block(fit.terms[number]))
+
+    def block(self, candidate: PlatformCandidate) -> int:
+        """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else CLOSURES."""
+        return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
+
+    def lack_of_fit(self, model: LinearisedModel) -> list[LackOfFit]:
+        return remainder.lack_of_fit(model)
+
+    def within(self, left: LackOfFit, place: str) -> bool:
+        return remainder.within(left, place)

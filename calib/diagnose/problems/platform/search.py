@@ -1,0 +1,146 @@
+"""All candidates against one linearised model: the best of each, most convincing first."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib.diagnose.engine import products as inner
+from calib.diagnose.engine.candidates import Node
+from calib.diagnose.engine.linear import Column
+from calib.diagnose.engine.parallel import Progress, parallel_map
+from calib.diagnose.engine.products import FrameProducts, Solved
+from calib.diagnose.engine.score import Score, best_of
+from calib.diagnose.problems.platform import spectrum
+from calib.diagnose.problems.platform.candidates import PlatformCandidate, Reach
+from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from rig.effects.base import Motion
+from vision.derivatives import derivatives
+
+CHUNK = 64  # nodes at a time
+
+
+def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
+           progress: Progress | None = None) -> list[Score]:
+    """[Score] of all candidates, the greatest raw delta BIC first.
+
+    sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
+    """
+    k = model.point
+    motion = k.motion(k.effects) if k.axes else None
+    axes = axis_products(model) if k.axes else None
+    mounts, held = {}, set(sensitivities.pixels)
+
+    def ask(candidate: PlatformCandidate) -> tuple[Score, dict]:
+        if candidate.reach is Reach.SPECTRUM:
+            score = spectrum.best_frequency(model, candidate, axes)
+        elif candidate.reach is Reach.AXES:
+            score = _along_axes(model, candidate, sensitivities, axes, motion)
+        elif candidate.reach is Reach.MOUNT:
+            if candidate.place not in mounts:
+                mounts[candidate.place] = corner_products(model, mount_pixels(model, candidate.place))
+            score = _mounted(model, candidate, mounts[candidate.place])
+        else:
+            score = _viewed(model, candidate, sensitivities)
+        new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
+        held.update(new)
+        return replace(score, candidate=None), new  # a candidate is known by its identity, which no copy has
+
+    out = []
+    for candidate, (score, new) in zip(candidates, parallel_map(ask, candidates, progress)):
+        sensitivities.pixels.update(new)
+        out.append(replace(score, candidate=candidate, values=candidate.numbers(score.node, score.coefficients)))
+    return sorted(out, key=lambda s: -s.raw_delta_bic(model.size))
+
+
+def column_of(model: LinearisedModel, candidate: PlatformCandidate, node: Node, sensitivities: Sensitivities,
+              motion: Motion | None = None) -> Column:
+    """Column (k = linear parameters, or 1) of one node of a candidate: what it does to corners and closures."""
+    k = model.point
+    if candidate.reach is Reach.SPECTRUM:
+        return model.lengthened(spectrum.wave(model, np.array([node["frequency"]]))[0])
+    if candidate.reach is Reach.AXES:
+        return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
+    if candidate.reach is Reach.MOUNT:
+        pixels = mount_pixels(model, candidate.place) * _share(model, candidate, node)[k.seen.observations.frame][:, None, None]
+        return model.fold(pixels)
+    return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
+
+
+def axis_products(model: LinearisedModel) -> FrameProducts:
+    """FrameProducts of one axis each being longer in one frame (per m)."""
+    F, axes = model.frames, model.point.axes
+    W = model.closures.W  # (F, a, a): column i is axis i
+    y = model.closure_residual[: F * axes].reshape(F, axes)
+    Q = model.linear.columns.parts[CLOSURES][: F * axes].reshape(F, axes, -1)
+    return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
+
+
+def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts:
+    """FrameProducts of corner displacements (n, 2, a) px, in the observations' order, frame by frame.
+
+    The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them first.
+    """
+    k, axes, c = model.point, model.point.axes, model.corners
+    basis, closures = model.linear.columns.parts, model.closure_residual
+    F, a, p = model.frames, pixels.shape[2], model.linear.columns.count
+    beta, gamma, kappa = np.zeros((F, a)), np.zeros((F, a, a)), np.zeros((F, a, p))
+    rows = np.flatnonzero(pixels.reshape(len(pixels), -1).any(axis=1)[c.order])
+    V = np.einsum("nij,njk->nik", c.whiten[rows], pixels[c.order[rows]]) / c.sigma
+    y, Q, local = (part.reshape(len(c.order), 2, -1) for part in (model.corner_residual, basis[CORNERS], c.local))
+    frame = k.seen.observations.frame[c.order[rows]]
+    edges = np.searchsorted(frame, np.arange(F + 1))
+    for f in np.unique(frame):
+        part = slice(edges[f], edges[f + 1])
+        v, at = V[part].reshape(-1, a), rows[part]
+        own = local[at].reshape(len(v), -1).T @ v
+        beta[f] = v.T @ y[at].reshape(-1)
+        gamma[f] = v.T @ v - own.T @ own
+        kappa[f] = v.T @ Q[at].reshape(len(v), -1)
+        if axes:
+            moved, here = model.closures.to_rows[f] @ own, slice(f * axes, (f + 1) * axes)
+            beta[f] += moved.T @ closures[here]
+            gamma[f] += moved.T @ moved
+            kappa[f] += moved.T @ basis[CLOSURES][here]
+    return FrameProducts(beta, gamma, kappa)
+
+
+def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
+    """(n, 2, 6) px per unit tangent by which corners move with a camera's mount."""
+    k = model.point
+    o = k.seen.observations
+    out = np.zeros((len(o), 2, 6))
+    for i, rows, _, J_camera, _ in derivatives(o, k.state):
+        if f"camera {k.design.cameras[i].name}" == place:
+            out[rows] = J_camera
+    return out
+
+
+def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts, motion: Motion) -> Score:
+    solver: Callable[[inner.Normal], Solved] = inner.solve if candidate.spec.linear else inner.whole
+    normals = []
+    for start in range(0, len(candidate.grid), CHUNK):
+        weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
+        normals.append(inner.framewise(products, weights))
+    solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
+    return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion))
+
+
+def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> Score:
+    w = np.stack([_share(model, candidate, node) for node in candidate.grid])
+    solved = inner.solve(inner.stepwise(products, w))
+    return best_of(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6))
+
+
+def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
+    """(F,) share of its motion that a mount has made by each frame."""
+    camera = model.point.stated.camera(candidate.place.split(" ")[1])
+    return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, None)[:, 0]
+
+
+def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities) -> Score:
+    products = corner_products(model, sensitivities.corners(*sensitivities.seen(candidate, candidate.grid[0])))
+    solved = inner.solve(inner.stepwise(products, np.ones((1, model.frames))))
+    weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
+    return best_of(model.linear, candidate, solved, products, lambda best: weights)

@@ -1,0 +1,49 @@
+"""Which moves tell two effects apart: what each does to the struts in each part of a plan, less what the geometry can swallow."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.identify import PRIOR, loop_jacobian
+from rig import machine, mechanisms
+from rig.design import Design
+from rig.effects.base import Effect
+from rig.recording import Commands, Sensors
+
+
+@dataclass(frozen=True, slots=True)
+class Separation:
+    """plan : its text; frames; misfit : standard deviations by which the better of two models beats the other, scaled to fit its best,
+    over the plan's exposures; cosine : of the two sensitivities, geometry taken out"""
+
+    plan: str
+    frames: int
+    misfit: float
+    cosine: float
+
+
+def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors, effects: list[Effect],
+               sigma: tuple[float, float]) -> Separation:
+    """Separation of two effects (each as large as it is expected to be) by one plan.
+
+    commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move the platform
+    sigma : (m, rad) standard deviation of a measured pose per axis. Raises what the machine raises
+    """
+    still = machine.run(design, commands, t, (), sensors)
+    m = design.mechanism
+    parts = []
+    covariance = np.diag(np.r_[[sigma[0] ** 2] * 3, [sigma[1] ** 2] * 3])
+    A = mechanisms.of(m).jacobian(still.T_base_platform, m)
+    W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
+    for effect in effects:
+        moved = machine.run(design, commands, t, (effect,), sensors).T_base_platform
+        parts.append((W @ (mechanisms.of(m).inverse(moved, m) - mechanisms.of(m).inverse(still.T_base_platform, m))[..., None]).ravel())
+    D = np.concatenate([(W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42), np.eye(42) / PRIOR])
+    Q = np.linalg.qr(D)[0]
+    a, b = (np.r_[part, np.zeros(42)] for part in parts)
+    a, b = a - Q @ (Q.T @ a), b - Q @ (Q.T @ b)
+    norms = np.linalg.norm(a), np.linalg.norm(b)
+    if min(norms) == 0:
+        return Separation(text, len(t), float(max(norms)), 0.0)
+    cosine = float(a @ b / norms[0] / norms[1])
+    return Separation(text, len(t), float(min(norms) * np.sqrt(max(1 - cosine**2, 0.0))), cosine)

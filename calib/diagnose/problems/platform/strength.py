@@ -1,0 +1,39 @@
+"""How strong an effect is in a recording: its signal-to-noise once calibration has taken what it can, all of the truth being known."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
+from calib.diagnose.problems.platform.linearised import linearise
+from rig import machine
+from rig.design import Design
+from rig.effects.base import Effect
+from rig.recording import Recording, Sensors
+from vision.observations import from_corners
+from vision.targets import marker_map
+
+
+def strengths(recording: Recording, true: Design, noise: float, effects: tuple[Effect, ...], sensors: Sensors) -> np.ndarray:
+    """(effects,) whitened length of what each effect does to all corners, the freedoms of cameras and geometry projected out.
+
+    recording : Recording with corners; true : Design as it really is; noise : px, standard deviation of a corner
+    effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
+    """
+    frames, t = recording.exposures.times()
+    stated = recording.design
+    observations = from_corners(recording.corners, frames, stated, marker_map(stated))
+    observations = replace(observations, covariance=np.broadcast_to(noise**2 * np.eye(2), (len(observations), 2, 2)))
+
+    def world(acting: tuple[Effect, ...]) -> OperatingPoint:
+        T = machine.run(true, recording.commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
+        return OperatingPoint(true, stated, frames, t, T, {}, None, recording.commands, sensors, None, tuple(acting))
+
+    whole = world(effects)
+    whole = replace(whole, seen=seen_of(observations, marker_map(stated)))
+    model, pixels, out = linearise(whole), whole.pixels(), []
+    for i in range(len(effects)):
+        bare = replace(world([e for k, e in enumerate(effects) if k != i]), seen=whole.seen)
+        square = model.linear.project(model.fold((pixels - bare.pixels())[..., None])).gram
+        out.append(float(np.sqrt(max(square[0, 0], 0.0))))
+    return np.array(out)

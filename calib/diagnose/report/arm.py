@@ -1,0 +1,158 @@
+"""An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the recording anew."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.select import Finding
+from calib.diagnose.problems.arm.candidates import SPAN, Form
+from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
+from calib.diagnose.problems.arm.fit import Term
+from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
+from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, write
+from rig.files import write_text
+from rig.pose import vector
+from rig.recording import Recording
+from rig.writing import write_table
+
+NEAR = 0.02  # rad; nearer angles than that share a joint's profile
+Z95 = 1.959964
+SMALL = 1e-4  # step of an order, for its derivative
+
+
+def report(d: ArmDiagnosis) -> Report:
+    """Report of an ArmDiagnosis."""
+    found = [_finding(d, f, proof) for f, proof in zip(d.findings, d.cross_validations)]
+    fit = FitEntry(mean(d.held[0].before), mean(d.held[0].after), floor(d), "m")
+    held = [{"stretches": h.stretches, "before": figures(h.before), "after": figures(h.after), **reach(h), "chosen": [list(n) for n in h.names]}
+            for h in d.held]
+    again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
+                                            "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
+    return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
+                  {"held_out": held, "repeats": again, "set_aside": d.arms.frame[~d.fit.used].tolist()})
+
+
+def floor(d: ArmDiagnosis) -> float:
+    """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
+    return noise(d)["pose_m"] if d.repeats is None else d.repeats.mean
+
+
+def mean(left: np.ndarray) -> float:
+    """m, mean position error of residuals (n, k)."""
+    return float(np.linalg.norm(left[:, :3], axis=1).mean())
+
+
+def figures(left: np.ndarray) -> dict[str, float]:
+    """{mean_m, rms_m, p95_m, max_m, n} of position errors and, where they were measured, the mean rotation error in rad."""
+    size = np.linalg.norm(left[:, :3], axis=1)
+    out = {"mean_m": float(size.mean()), "rms_m": float(np.sqrt((size**2).mean())), "p95_m": float(np.quantile(size, 0.95)),
+           "max_m": float(size.max()), "n": len(size)}
+    return out | ({"mean_rad": float(np.linalg.norm(left[:, 3:], axis=1).mean())} if left.shape[1] == 6 else {})
+
+
+def reach(held: HeldOutPoses) -> dict[str, Any]:
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within NEAR of an angle that they were
+    fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
+    near = held.far <= NEAR
+    return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
+
+
+def noise(d: ArmDiagnosis) -> dict[str, float | None]:
+    """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
+    own = d.arms.own
+    length = [float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6))]
+    return {"corner_px": None, "pose_m": length[0], "pose_rad": length[1] or None, "strut_m": None}
+
+
+def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
+    """{name: Value} of a finding; intervals allow for the dispersion seen."""
+    fit, number = d.fit, finding.number
+    one, theta = fit.terms[number], fit.theta[fit.slices[number]]
+    covariance = fit.covariance(number) * finding.score.dispersion
+    candidate = one.candidate
+    if candidate.form is Form.SINUSOID:
+        return _cycle(d, finding, theta)
+    units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
+    sigma = Z95 * np.sqrt(np.diag(covariance))
+    effect = candidate.effect(one.node, theta)
+    spec = next(s for s in candidate.specs if len(s.linear) == len(theta) or not s.linear)
+    if len(theta) > 1:  # a curve, or a load's moments: what it comes to first, then the numbers
+        name = spec.linear[0].name
+        level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
+        out = {"rms": _scaled(fit.part(number), theta, covariance, one, "rad"),
+               name: Value(level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()])}
+        return out | ({SPAN: Value(list(one.node[SPAN]), "rad")} if SPAN in one.node else {})
+    name = spec.linear[0].name if spec.linear else candidate.sought
+    value = float(theta[0])
+    out = {name: Value(value, units[name], [value - float(sigma[0]), value + float(sigma[0])])}
+    roles = {p.name: p.role for p in effect.parameters}
+    return out | {key: moment(d.arms.t, v, d.origin) if roles[key] == "moment" else Value(v, units[key])
+                  for key, v in one.node.items() if key in units and key != name}
+
+
+def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:
+    """The RMS, about its mean, of what a term does to its joint, with an interval to first order."""
+    w = one.weights[:, 0] - one.weights[:, 0].mean(axis=0)
+    value = float((moved - moved.mean()).std())
+    slope = w.T @ (w @ theta) / len(w) / max(value, 1e-300)
+    sigma = float(np.sqrt(max(slope @ covariance @ slope, 0)))
+    return Value(value, unit, [max(value - Z95 * sigma, 0.0), value + Z95 * sigma])
+
+
+def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Value]:
+    """amplitude, phase and order of a sinusoid, their joint covariance with all else free."""
+    fit, number = d.fit, finding.number
+    one = fit.terms[number]
+    candidate, name = one.candidate, one.candidate.sought
+    order = one.node[name]
+    slope = (candidate.weights({name: order + SMALL}) - candidate.weights({name: order - SMALL})) @ theta / (2 * SMALL)
+    used = fit.used
+    u = (fit.W @ d.arms.directions(candidate.joint) @ slope[..., None])[..., 0][used]
+    leaning = cho_solve((fit.half, False), fit.X[used].reshape(u.size, -1).T @ u.ravel())
+    rest = u - (fit.X @ leaning)[used]
+    variance = finding.score.dispersion / max((rest**2).sum(), 1e-300)
+    inverse = leaning[fit.slices[number]]  # how the sizes lean with the order
+    covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
+    amplitude = float(np.hypot(*theta))
+    along = theta / max(amplitude, 1e-300)
+    across = np.array([-along[1], along[0]])
+    sigma = np.sqrt([along @ covariance @ along, across @ covariance @ across / amplitude**2, variance])
+    values = (amplitude, float(np.arctan2(theta[1], theta[0])), order)
+    return {key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
+            for key, v, s, unit in zip(("amplitude", "phase", name), values, sigma, ("rad", "rad", ""))}
+
+
+def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
+    candidate, score = d.fit.terms[finding.number].candidate, finding.score
+    others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
+                                    experiment(candidate.name, a.score.candidate.name), a.score.node.get("order")) for a in finding.alternatives)
+    evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
+    return FindingEntry(candidate.name, candidate.place, parameters(d, finding), evidence, others, candidate.kind.action_at(candidate.place))
+
+
+def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:
+    """Write diagnosis.json into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
+    joints.csv (per frame, what was commanded and what the findings do to it) and the recording's own files."""
+    write(folder, report(d))
+    count = d.arms.q.shape[1]
+    more, sway = np.zeros(d.arms.q.shape), np.zeros((len(d.arms), 6))
+    for number, one in enumerate(d.fit.terms):
+        moved = one.weights @ d.fit.theta[d.fit.slices[number]]
+        if one.candidate.joint is None:
+            sway[:, : moved.shape[1]] += moved
+        else:
+            more[:, one.candidate.joint] += moved[:, 0]
+    constant = more.mean(axis=0)  # what is constant is a joint's zero
+    tree = {"base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(), "rotations": d.arms.left.shape[1] == 6,
+            "effects": [f"{t.candidate.name} at {t.candidate.place}" for t in d.fit.terms],
+            "joints": (d.arm.rows + constant[:, None] * [1, 0, 0, 0, 0]).tolist()}
+    names = ("frame", *(f"q{j + 1}" for j in range(count)), *(f"e{j + 1}" for j in range(count)), *(f"s{i + 1}" for i in range(6)))
+    write_text(folder / "arm.json", json.dumps(tree) + "\n")
+    write_table(folder / "joints.csv", names, [",".join([str(frame), *(f"{x:.12f}" for x in (*q, *e, *s))])
+                                               for frame, q, e, s in zip(d.arms.frame, d.arms.q, more - constant, sway)])
+    copy_recording(folder, recording)

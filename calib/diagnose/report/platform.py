@@ -1,0 +1,122 @@
+"""A platform's diagnosis as a Report, and what it takes to draw the recording anew as it was found."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
+from calib.diagnose.engine.select import Finding
+from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
+from calib.diagnose.problems.platform.refine import Refined
+from calib.diagnose.report.schema import (UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Unexplained, Value,
+                                          write)
+from rig.effects import BY_NAME
+from rig.effects.base import Effect
+from rig.effects.face_misplacement import FaceMisplacement
+from rig.effects.marker_swap import MarkerSwap
+from rig.effects.parse import to_dict as effect_dict
+from rig.origin import Origin
+from rig.pose import vector
+from rig.recording import Recording
+from rig.files import write_text
+from vision.places import Move
+
+
+def report(d: PlatformDiagnosis) -> Report:
+    """Report of a PlatformDiagnosis."""
+    found = [_swapped(effect) for effect in d.swapped] + [_moved(move) for move in d.moved]
+    found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
+    fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
+    return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked))
+
+
+def noise(figures: dict[str, float | None]) -> dict[str, float | None]:
+    """The noise as diagnosis.json has it: a strut's alone is left out where there is none."""
+    return {name: value for name, value in figures.items() if value is not None or name != "strut_m"}
+
+
+def unexplained(left: list[LackOfFit]) -> Unexplained | None:
+    """The most convincing of what is left, or None."""
+    return Unexplained(left[0].place, left[0].magnitude, left[0].unit, left[0].depends_on) if left else None
+
+
+def unknown(left: list[LackOfFit]) -> list[FindingEntry]:
+    """What is left as findings without a name, one for each place."""
+    return [FindingEntry(UNKNOWN, u.place, {"magnitude": Value(u.magnitude, u.unit), "depends_on": Value(list(u.depends_on), "")},
+                         Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2)) for u in first_of_each_place(left)]
+
+
+def fit_entry(fit: CrossValidation) -> FitEntry:
+    """FitEntry of the cross-validation of all findings together."""
+    return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
+
+
+def experiment(a: str, b: str) -> str:
+    """What would tell two effects apart, in words."""
+    return BY_NAME[a].experiment if a == b else f"{a}: {BY_NAME[a].experiment}; {b}: {BY_NAME[b].experiment}"
+
+
+def _swapped(effect: MarkerSwap) -> FindingEntry:
+    parameters = {name: Value(value, "") for name, value in effect.values().items()}
+    return FindingEntry(effect.name, effect.place, parameters, action=effect.action_at(effect.place))
+
+
+def _moved(move: Move) -> FindingEntry:
+    ends = np.stack([move.by, move.by - move.ci95, move.by + move.ci95])
+    parameters = {p.name: Value(part[0].tolist(), p.unit, part[1:].tolist())
+                  for p, part in zip(FaceMisplacement.parameters, (ends[:, :3], ends[:, 3:]))}
+    return FindingEntry(FaceMisplacement.name, move.name, parameters, action=FaceMisplacement.action_at(move.name))
+
+
+def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
+    refined, score = d.selection.fit.refined, finding.score
+    effect = refined.point.effects[finding.number]
+    evidence = Evidence(score.delta_bic(refined.model.size), min(1.0, score.p_value * d.selection.asked), proof.before, proof.after, proof.unit,
+                        proof.gain)
+    others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
+                                    experiment(effect.name, a.score.candidate.name)) for a in finding.alternatives)
+    parameters = _parameters(refined, finding.number, effect, d.origin)
+    return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place))
+
+
+def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:
+    units, bounds = {p.name: p.unit for p in effect.parameters_at(effect.place)}, refined.at_bounds(number)
+    out = {name: Value(value, units[name], [low, high], bounds.get(name)) for name, (value, low, high) in refined.intervals(number).items()}
+    for p in effect.parameters:
+        if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
+            value = getattr(effect, p.name)
+            out[p.name] = Value(value, p.unit) if p.role == "choice" else moment(refined.point.t, value, origin)
+    return out
+
+
+def moment(t: np.ndarray, value: float, origin: Origin) -> Value:
+    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies."""
+    i = int(np.clip(np.searchsorted(t, value), 1, len(t) - 1))
+    return Value(origin.shown(value), "s", [origin.shown(t[i - 1]), origin.shown(t[i])])
+
+
+def save(folder: Path, d: PlatformDiagnosis, recording: Recording) -> None:
+    """Write diagnosis.json into a folder and, where a machine with cameras was commanded, what it takes to simulate it as found:
+    machine.json and the recording's own rig.toml, commands, frames and sensors."""
+    write(folder, report(d))
+    k = d.selection.fit.refined.point
+    if not k.axes or k.seen is None or k.design.mechanism.kind != "hexapod":
+        return
+    m = k.design.mechanism
+    tree = {"effects": [effect_dict(effect) for effect in (*d.swapped, *d.effects)], "base_joints": m.base_joints.tolist(),
+            "platform_joints": m.platform_joints.tolist(), "strut_zeros": m.strut_zeros.tolist(),
+            "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
+                        for c in k.design.cameras]}
+    write_text(folder / "machine.json", json.dumps(tree) + "\n")
+    copy_recording(folder, recording)
+
+
+def copy_recording(folder: Path, recording: Recording) -> None:
+    """Copy a recording's own rig.toml, commands, frames and sensors into a folder."""
+    for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
+        if (recording.folder / name).exists():
+            write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))

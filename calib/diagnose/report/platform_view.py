@@ -1,0 +1,107 @@
+"""What a platform's page draws: the rig, each finding against what gives it away, what is left of struts and cameras."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
+from calib.diagnose.problems.platform.linearised import LinearisedModel
+from calib.diagnose.report.drawing import over_time
+from calib.diagnose.report.page import Part
+from calib.diagnose.report.plots import diagnostic_plot, model_residuals, residual_map, residuals
+from calib.diagnose.report.schema import FindingEntry
+from calib.diagnose.report.schematic import schematic
+from rig.recording import Recording
+
+FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
+PICTURED = 3  # of what is unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformView:
+    """recording : Recording; diagnosis : its PlatformDiagnosis"""
+
+    recording: Recording
+    diagnosis: PlatformDiagnosis
+
+    @property
+    def asked(self) -> int:
+        """How many hypotheses were held against the recording."""
+        return self.diagnosis.selection.asked
+
+    def where(self, places: list[str]) -> Figure:
+        """The rig in outline, places marked."""
+        return schematic(self.diagnosis.selection.fit.refined.point, places)
+
+    def plot(self, finding: FindingEntry) -> Figure | None:
+        """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
+        d = self.diagnosis
+        if finding.evidence.delta_bic is None:
+            return None
+        number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e.values(), e.name, e.place))
+        return diagnostic_plot(d.selection.fit.refined, number)
+
+    def remaining(self, unknown: list[FindingEntry]) -> list[Part]:
+        """Figure of the levels, then of what is unknown."""
+        refined = self.diagnosis.selection.fit.refined
+        k = refined.point
+        struts, corners = residuals(refined)
+        parts: list[Part] = [_levels(self.diagnosis, struts)]
+        for f in unknown[:PICTURED]:
+            kind, _, name = f.place.partition(" ")
+            if kind == "strut":
+                parts += [f"<p class=note>{f.place}</p>", over_time(k.t, struts[:, int(name) - 1] * 1e6, "strut, µm")]
+            elif kind == "camera":
+                own = np.flatnonzero(k.seen.observations.camera == [c.name for c in k.design.cameras].index(name))
+                parts.append(residual_map(k, own, (corners,), ("what is left",)))
+        return parts
+
+    def measurement(self) -> list[tuple[str, Any]]:
+        """Where poses came from, and how much there is."""
+        k, rec = self.diagnosis.selection.fit.refined.point, self.recording
+        return [("poses from", self.diagnosis.source), ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
+                ("time", f"{np.ptp(k.t) / 60:.1f} min"), ("corners", len(k.seen.observations) if k.seen is not None else "none"),
+                ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none")]
+
+
+def _same(finding: FindingEntry, values: dict[str, Any], name: str, place: str) -> bool:
+    """Whether a finding is the effect of a name at a place with values."""
+    if (finding.effect, finding.place) != (name, place):
+        return False
+    return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items() if n in values and np.size(p.value) == np.size(values[n]))
+
+
+def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> Figure:
+    """Figure of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
+    refined, before = d.selection.fit.refined, d.selection.before.refined
+    k, rows = refined.point, []
+    if k.axes:
+        noise = np.sqrt(refined.model.strut_noise().mean(axis=0)) * 1e6
+        bare, _ = model_residuals(before.model)
+        rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
+    if k.seen is not None:
+        rows.append(_camera_levels(refined.model, before.model))
+    figure = Figure(figsize=(11, 2.8), layout="constrained")
+    for axes, (labels, first, last, noise, unit) in zip(figure.subplots(1, max(len(rows), 1), squeeze=False)[0], rows):
+        at = np.arange(len(labels))
+        axes.bar(at - 0.2, first, 0.4, color="tab:red", label="nothing admitted")
+        axes.bar(at + 0.2, last, 0.4, color="tab:blue", label="as diagnosed")
+        axes.plot(at, noise, "k_", ms=28, label="noise")
+        axes.set(xticks=at, xticklabels=labels, ylabel=f"RMS, {unit}", ylim=(0, 1.25 * max(first.max(), last.max(), noise.max())))
+        axes.legend(fontsize=8, ncols=3, loc="upper center")
+    return figure
+
+
+def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
+    k = model.point
+    o, sigma = k.seen.observations, model.corner_noise()
+    present = np.unique(o.camera)
+    off = [np.clip(o.uv - at.pixels(), -FAR * sigma, FAR * sigma) for at in (before.point, k)]
+    first, last = (np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in off)
+    return [k.design.cameras[i].name for i in present], first, last, np.full(len(present), sigma), "px"
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt((values**2).mean(axis=0))

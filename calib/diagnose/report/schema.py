@@ -1,0 +1,147 @@
+"""diagnosis.json (schema "diagnosis/1") as dataclasses: what a diagnosis of any machine says, in m, rad, px and s."""
+
+import json
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.files import write_text
+
+SCHEMA = "diagnosis/1"
+NOTHING = 0.1  # of the misfit held out, added in squares, that a finding must take away to be more than significant
+UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """value : number, list of numbers or names; unit; ci95 : (low, high) of a number, (lows, highs) of a list; at_bound : the bound of what makes
+    sense that the value stands at, the data asking for more"""
+
+    value: Any
+    unit: str
+    ci95: list | None = None
+    at_bound: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """How sure a finding is; heldout_before, heldout_after : RMS in unit, of stretches held out, without it and with it
+    gain_sigma : standard errors by which they gain; delta_chi2 : of what has no name"""
+
+    delta_bic: float | None = None
+    p_value: float | None = None
+    heldout_before: float | None = None
+    heldout_after: float | None = None
+    unit: str | None = None
+    gain_sigma: float | None = None
+    delta_chi2: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AlternativeEntry:
+    """Another effect that explains as much; delta_bic : by how much less likely it is; order : of a sinusoid; experiment : what would tell them."""
+
+    effect: str
+    place: str
+    delta_bic: float
+    cosine: float
+    experiment: str
+    order: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FindingEntry:
+    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it"""
+
+    effect: str
+    place: str
+    parameters: dict[str, Value]
+    evidence: Evidence = field(default_factory=Evidence)
+    cannot_be_told_from: tuple[AlternativeEntry, ...] = ()
+    action: str | None = None
+
+    @property
+    def matters(self) -> bool:
+        """Whether it changes what was held out by more than next to nothing; what was found before all else always does."""
+        before, after = self.evidence.heldout_before, self.evidence.heldout_after
+        return before is None or after is None or before**2 - after**2 > (NOTHING * after) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """The largest of what nothing in the catalogue explains. depends_on : names of covariates, none for scatter."""
+
+    place: str
+    magnitude: float
+    unit: str
+    depends_on: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FitEntry:
+    """Misfit of stretches held out in one unit, with nothing admitted and with all; noise_floor : what noise alone leaves."""
+
+    heldout_before: float
+    heldout_after: float
+    noise_floor: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class NotAskedEntry:
+    """An effect that the recording cannot show, and why."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Of one recording. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
+    findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
+    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; more : what one kind of machine has to say besides"""
+
+    recording: str
+    start_s: float
+    noise: dict[str, float | None]
+    findings: tuple[FindingEntry, ...]
+    unexplained: Unexplained | None
+    fits: dict[str, FitEntry]
+    fit: FitEntry
+    not_asked: tuple[NotAskedEntry, ...]
+    more: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def named(self) -> list[FindingEntry]:
+        """The findings that have a name."""
+        return [f for f in self.findings if f.effect != UNKNOWN]
+
+    @property
+    def mattering(self) -> list[FindingEntry]:
+        """Of those, the ones that change what was held out."""
+        return [f for f in self.named if f.matters]
+
+    @property
+    def unknown(self) -> list[FindingEntry]:
+        """The findings that have none."""
+        return [f for f in self.findings if f.effect == UNKNOWN]
+
+    def tree(self) -> dict[str, Any]:
+        """The tree of diagnosis.json."""
+        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "more"}
+        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more}
+
+
+def _plain(value: Any) -> Any:
+    """Trees of dicts and lists; of dataclasses, what is None or empty optional is left out."""
+    if is_dataclass(value):
+        items = {f.name: getattr(value, f.name) for f in fields(value)}
+        return {name: _plain(v) for name, v in items.items() if v is not None}
+    if isinstance(value, dict):
+        return {name: _plain(v) for name, v in value.items()}
+    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
+
+
+def write(folder: Path, report: Report) -> None:
+    """Write diagnosis.json into a folder."""
+    write_text(folder / "diagnosis.json", json.dumps(report.tree(), indent=1) + "\n")

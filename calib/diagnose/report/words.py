@@ -1,0 +1,136 @@
+"""A Report in words and figures for people: micrometres, microradians, pixels; what was found, how sure, what to do."""
+
+import html
+
+import numpy as np
+
+from calib.diagnose.report.schema import FindingEntry, FitEntry, Report, Value
+
+SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
+LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
+LONG = 4  # numbers of a vector that are written out
+CERTAIN = 1e-6  # a chance below which nobody counts
+CONVINCING = 10  # of the information criterion
+
+
+def number(value: float, unit: str, with_unit: bool = True) -> str:
+    """A value in the unit that people read it in."""
+    scale, name = SCALES.get(unit, (1, unit))
+    text = "unlimited" if not np.isfinite(value) else f"{value:.1f}" if unit == "s" and abs(value) >= LONG_TIME else f"{value * scale:.3g}"
+    return f"{text} {name}".strip() if with_unit else text
+
+
+def title(finding: FindingEntry) -> str:
+    """"backlash at strut 4"."""
+    return f"{finding.effect.replace('_', ' ')} at {finding.place}"
+
+
+def size(finding: FindingEntry) -> str:
+    """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is none."""
+    for name, p in finding.parameters.items():
+        if isinstance(p.value, (int, float)) and p.ci95 is not None:
+            low, high = (number(v, p.unit, False) for v in p.ci95)
+            at = "; at the bound of what makes sense" if p.at_bound is not None else ""
+            return f", {name.replace('_', ' ')} {number(p.value, p.unit)} (95 %: {low} to {high}{at})"
+        if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
+            thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
+            return ", by " + " and ".join(number(np.linalg.norm(v), u) for v, u in zip(thirds, p.unit.split(", ")))
+        if name == "profile" and len(p.value):
+            return f", {number(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
+    return ""
+
+
+def sentence(text: str) -> str:
+    """With a capital and a full stop."""
+    return text[0].upper() + text[1:] + "."
+
+
+def verdict(report: Report) -> str:
+    """What was found, the biggest first; what is only significant is counted, not named."""
+    worst, left = report.unexplained, ""
+    if worst is not None:
+        left = f"something at {worst.place} that nothing in the catalogue explains, {number(worst.magnitude, worst.unit)}"
+        left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
+    if not report.named:
+        return html.escape(f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise.")
+    main = report.mattering or report.named
+    said = [f"{title(f)}{size(f)}" for f in main]
+    fewer = len(report.named) - len(main)
+    said += [f"{fewer} more that {'is' if fewer == 1 else 'are'} significant and change what was held out by next to nothing"] if fewer else []
+    text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
+    doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
+    text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
+    return html.escape(sentence(text))
+
+
+def held_out(fit: FitEntry, named: bool) -> str:
+    """What is left over on stretches that the fit had not seen."""
+    before, after, floor = (number(value, fit.unit) for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
+    ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
+    if not named:
+        return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
+    return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to <b>{after}</b>{ratio} ({floor})."
+
+
+def chance(p: float) -> str:
+    """A probability in words."""
+    return "below 1 in a million" if p < CERTAIN else f"1 in {1 / p:.0f}"
+
+
+def how_sure(finding: FindingEntry) -> str:
+    """The evidence of a finding in a sentence, empty where there is none."""
+    e = finding.evidence
+    if e.delta_bic is None:
+        return ""
+    errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
+    said = [f"held out, {number(e.heldout_before, e.unit)} without it and {number(e.heldout_after, e.unit)} with it{errors}",
+            f"chance of such a finding where there is nothing: {chance(e.p_value)}",
+            f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)"]
+    return f"How sure: {'; '.join(said)}."
+
+
+def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
+    """[(name, value, 95 % interval)]; of long vectors the first few that are anything."""
+    rows = []
+    for name, p in finding.parameters.items():
+        name = name.replace("_", " ")
+        if isinstance(p.value, (int, float)):
+            rows.append((name, number(p.value, p.unit), _interval(p)))
+            continue
+        shown = [i for i, v in enumerate(p.value) if v][: 2 * LONG] if len(p.value) > LONG else range(len(p.value))
+        units = p.unit.split(", ") if ", " in p.unit else [p.unit]
+        for i in shown:
+            own = units[i * len(units) // len(p.value)]
+            if isinstance(p.value[i], str):
+                rows.append((f"{name} {i + 1}", p.value[i], ""))
+                continue
+            interval = f"{number(p.ci95[0][i], own, False)} to {number(p.ci95[1][i], own)}" if p.ci95 else ""
+            rows.append((f"{name} {i + 1}", number(p.value[i], own), interval))
+    return rows
+
+
+def _interval(p: Value) -> str:
+    if p.ci95 is None:
+        return ""
+    text = f"{number(p.ci95[0], p.unit, False)} to {number(p.ci95[1], p.unit)}"
+    return f"{text}; stands at its bound" if p.at_bound is not None else text
+
+
+def line(finding: FindingEntry, few: int = 6) -> str:
+    """A finding in a line for a terminal, in SI units. few : numbers of a parameter that are printed; of more, how many there are"""
+    return f"{finding.effect} at {finding.place}: " + ", ".join(_printed(name, p, few) for name, p in finding.parameters.items())
+
+
+def _printed(name: str, p: Value, few: int) -> str:
+    value, unit = p.value, p.unit
+    if isinstance(value, (int, float)):
+        digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
+        interval = f" ({p.ci95[0]:{digits}} to {p.ci95[1]:{digits}})" if p.ci95 else ""
+        bound = ", at its bound" if p.at_bound is not None else ""
+        return f"{name} {value:{digits}} {unit}{interval}{bound}"
+    numbers = len(value) and isinstance(value[0], float)
+    if numbers and len(value) <= few:
+        pairs = zip(value, zip(*p.ci95)) if p.ci95 else ((v, None) for v in value)
+        shown = " ".join(f"{v:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") for v, ends in pairs)
+        return f"{name} {shown} {unit}"
+    return f"{name} ({len(value)} numbers)" if numbers else f"{name} {', '.join(map(str, value)) or 'nothing known'}"

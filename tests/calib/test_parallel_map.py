@@ -1,0 +1,55 @@
+"""A function of many things on several processes: the same results in the same order, errors and progress as on one."""
+
+import os
+
+import numpy as np
+import pytest
+
+from calib.diagnose.engine import parallel
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.platform.candidates import platform_candidates
+from calib.diagnose.problems.platform.linearised import linearise
+from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.search import search
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from tests.calib.recorded import recorded
+
+
+@pytest.fixture(params=[1, 3])
+def processes(request, monkeypatch):
+    monkeypatch.setattr(parallel, "cores", lambda: request.param)
+    return request.param
+
+
+def test_results_come_in_order_and_progress_reaches_the_end(processes):
+    things, seen = [object() for _ in range(40)], []
+    out = parallel.parallel_map(lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of)))
+    assert [i for i, _ in out] == list(range(40)) and seen == [(i, 40) for i in range(1, 41)]
+    assert (len({pid for _, pid in out} - {os.getpid()}) > 0) == (processes > 1)
+
+
+def test_what_a_process_raises_is_raised_here(processes):
+    def fail(i):
+        if i == 17:
+            raise ValueError("thing 17")
+        return i
+
+    with pytest.raises(ValueError, match="thing 17"):
+        parallel.parallel_map(fail, range(40))
+    assert parallel.parallel_map(abs, [-1, 2]) == [1, 2]  # and the next call is not disturbed
+
+
+def test_a_search_finds_the_same_on_one_process_and_on_several(tmp_path, design, monkeypatch):
+    point = of_recording(recorded(tmp_path, design, ["backlash:strut5:gap=6e-5"]))[0]
+    asked = Asked(("backlash", "camera_drift", "vibration", "face_misplacement"))
+    model, (candidates, _) = linearise(point), platform_candidates(point, asked)
+    both = []
+    for count in (1, 3):
+        monkeypatch.setattr(parallel, "cores", lambda count=count: count)
+        sensitivities = Sensitivities(point)
+        both.append((search(model, candidates, sensitivities), sensitivities.pixels))
+    (one, pixels), (several, kept) = both
+    assert [s.candidate for s in one] == [s.candidate for s in several] and pixels.keys() == kept.keys()
+    for a, b in zip(one, several):
+        assert a.node == b.node and a.delta_chi2 == pytest.approx(b.delta_chi2, rel=1e-6)
+        np.testing.assert_allclose(a.coefficients, b.coefficients, rtol=1e-5, atol=1e-12)
