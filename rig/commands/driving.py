@@ -15,18 +15,6 @@ from rig.errors import FileError, RigError
 from rig.occupied import Occupied
 
 
-def add_driving(parser) -> None:
-    """Arguments of every command that talks to the controller."""
-    parser.add_argument("design", metavar="RIG.toml", type=Path)
-    add_port(parser)
-
-
-def add_port(parser) -> None:
-    """Where the controller is, and a trace of what is said."""
-    parser.add_argument("--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://..")
-    parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
-
-
 def design_of(path: Path, port: str | None) -> Design:
     """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
     design = design_file.load(path)

@@ -1,15 +1,26 @@
 """rig go CALIBRATION [--rig RIG.toml] --pose X,Y,Z,RX,RY,RZ."""
 
-from pathlib import Path
+from __future__ import annotations
 
-from rig.commands.driving import add_port, design_of, driving, lengths_text, print_status
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import add_port
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from scipy.spatial.transform import RigidTransform
+
+    from rig.design import Hexapod
 
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("--rig", metavar="RIG.toml", type=Path, default=Path("rig.toml"), help="with the [controller] to drive (default: rig.toml here)")
+    parser.add_argument("--rig", metavar="RIG.toml", type=Path, default=Path("rig.toml"),
+                        help="with the [controller] to drive (default: rig.toml here)")
     parser.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
@@ -24,6 +35,7 @@ def run(arguments):
 
     from calib import store
     from calib.correction import reachable
+    from rig.commands.driving import design_of, driving, lengths_text, print_status
 
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
@@ -48,7 +60,7 @@ def run(arguments):
               f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
 
 
-def pose_of(text):
+def pose_of(text: str) -> RigidTransform:
     """RigidTransform of six figures joined by commas, m and rad."""
     import numpy as np
 
@@ -63,7 +75,7 @@ def pose_of(text):
     return pose(values[:3], values[3:])
 
 
-def _same(nominal, mechanism, arguments):
+def _same(nominal: Hexapod, mechanism: Hexapod, arguments: Namespace) -> None:
     """Raise RigError where a calibration is of another rig than the one to drive."""
     import numpy as np
 

@@ -1,6 +1,6 @@
 """rig home RIG.toml."""
 
-from rig.commands.driving import add_driving, design_of, driving, print_status
+from rig.commands.output import add_driving
 
 
 def arguments(parser):
@@ -11,6 +11,8 @@ def arguments(parser):
 
 def run(arguments):
     """Home all struts and say where they stand."""
+    from rig.commands.driving import design_of, driving, print_status
+
     design = design_of(arguments.design, arguments.port)
     with driving(design, arguments.trace, print) as driver:
         if arguments.unlock:

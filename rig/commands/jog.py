@@ -1,6 +1,6 @@
 """rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
 
-from rig.commands.driving import add_driving, design_of, driving, print_status
+from rig.commands.output import add_driving
 from rig.errors import PositionLost, RigError
 
 
@@ -18,6 +18,8 @@ def arguments(parser):
 def run(arguments):
     """Move struts a little, checked as any move."""
     import numpy as np
+
+    from rig.commands.driving import design_of, driving, print_status
 
     design = design_of(arguments.design, arguments.port)
     count = len(design.mechanism.axes)
@@ -38,7 +40,7 @@ def run(arguments):
         print_status(driver.status(), design)
 
 
-def _lengths(text, count):
+def _lengths(text: str, count: int) -> "np.ndarray":
     """(count,) m of lengths in mm joined by commas."""
     import numpy as np
 

@@ -22,7 +22,6 @@ from vision.live import Live, Sight
 from vision.watch import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
-KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 LATEST = 30  # alarms that are kept for displays
 
 
@@ -70,12 +69,13 @@ class Display(Protocol):
 
 class Looking:
     """See rig.operate.Watcher. live, learner : None where frames are not measured or poses not learnt from
-    stop_on : kinds of Alarms that stop the run; halt : stops the struts now, from any thread; displays : who shows it."""
+    stop_on : kinds of Alarms that stop the run; halt : stops the struts now, from any thread; `displays` : who shows it."""
 
     def __init__(self, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, live: Live | None, learner: Learner | None,
-                 stop_on: frozenset[str], halt: Callable[[], object], displays: list[Display]) -> None:
+                 stop_on: frozenset[str], halt: Callable[[], object]) -> None:
         self.design, self._clock, self._live, self._learner, self._halt = design, clock, live, learner, halt
-        self._stop_on, self.displays, self._reason = stop_on, displays, ""
+        self._stop_on, self._reason = stop_on, ""
+        self.displays: list[Display] = []
         self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if design.insitu is not None and design.mechanism.kind == "hexapod" else None

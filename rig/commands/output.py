@@ -77,6 +77,18 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
     parser.add_argument(name, dest="overwrite", action="store_true", help="write over what this command did not make; what it reads it never writes over")
 
 
+def add_driving(parser: ArgumentParser) -> None:
+    """Arguments of every command that talks to the controller."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    add_port(parser)
+
+
+def add_port(parser: ArgumentParser) -> None:
+    """Where the controller is, and a trace of what is said."""
+    parser.add_argument("--port", help="where the controller is, instead of what [controller] says: a device, socket://.., rfc2217://..")
+    parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
+
+
 def print_comparison(held, title):
     """Print a HeldOut as a table in mm and mrad."""
     names = ("mean", "RMS", "95 %", "max")

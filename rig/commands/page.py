@@ -120,11 +120,12 @@ def _rig(design: Design, fixed: list[dict], T: RigidTransform | None) -> dict:
     if m.kind == "hexapod":
         T = m.home if T is None else T
         top = T.apply(m.platform_joints)
-        parts += [{"kind": "strut", "name": str(k + 1), "points": [low.tolist(), high.tolist()]} for k, (low, high) in enumerate(zip(m.base_joints, top))]
+        parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]} for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
         parts += [{"kind": "plate", "points": [*ring.tolist(), ring[0].tolist()]} for ring in (m.base_joints, top)]
         middle = (m.home.translation / 2).tolist()
     if design.targets and T is not None:
         markers = marker_map(design)
-        parts += [{"kind": "face", "points": quad.tolist()} for quad in transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3)).reshape(-1, 4, 3)]
+        corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))
+        parts += [{"kind": "face", "points": quad.tolist()} for quad in corners.reshape(-1, 4, 3)]
     size = max([float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras] or [1.0])
     return {"parts": parts, "middle": middle, "size": size}

@@ -1,12 +1,14 @@
 """rig run RIG.toml --plan P --out REC: a plan carried out on the real machine, journalled, measured while it grows."""
 
+from __future__ import annotations
+
 import hashlib
 import signal
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rig.commands.driving import add_driving, design_of, driving, lengths_text, settled_status
-from rig.commands.output import SEED
+from rig.commands.output import SEED, add_driving
 from rig.errors import RigError
 from rig.files import write_bytes
 
@@ -16,8 +18,8 @@ KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 def arguments(parser):
     """Add this command's arguments to a parser."""
     add_driving(parser)
-    parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: sobol:40,ladder,repeat:20, "
-                        "or commands:FILE (t or frame,l1..l6 as rig correct and rig plan write it)")
+    parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
+                        "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)")
     parser.add_argument("--seed", type=int, default=SEED, help="of the plan")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; a new folder, or with --resume the one to go on with")
     parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
@@ -37,6 +39,7 @@ def arguments(parser):
 def run(arguments):
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from rig.cameras.settled import settling
+    from rig.commands.driving import design_of
     from rig.plan import build
     from rig.steps import steps
 
@@ -51,7 +54,7 @@ def run(arguments):
     return _run(arguments, design, planned, settle, options)
 
 
-def _options(arguments):
+def _options(arguments: Namespace) -> tuple[float | str | None, frozenset[str]]:
     """(exposure s, None or "keep"; kinds of alarms that stop). Raises RigError for what cannot be meant, before anything moves."""
     wanted = frozenset(filter(None, arguments.stop_on.split(",")))
     if wanted - set(KINDS):
@@ -71,10 +74,11 @@ def _options(arguments):
     return exposure, wanted
 
 
-def _dry_run(design, planned):
+def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
     """Check the whole plan from home and say what it would do."""
     import numpy as np
 
+    from rig.commands.driving import lengths_text
     from rig.emulator.build import home_lengths
     from rig.steps import check, distances
 
@@ -90,18 +94,18 @@ def _dry_run(design, planned):
           f"{(way / np.min(c.max_speed)).sum() / 60:.1f} min of moving; at most {frames * pixels / 1e9:.2f} GB of images; nothing was moved")
 
 
-def check_move(design):
+def check_move(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
     """(start, goal (axes,) m) -> None: raises Unreachable where the controller's driver would refuse the move."""
     from rig import path_check
 
-    def check(start, goal):
+    def check(start: np.ndarray, goal: np.ndarray) -> None:
         path_check.check_path(start, path_check.check_lengths(goal, design.mechanism), design.mechanism, design.controller.margin,
                               design.controller.max_step)
 
     return check
 
 
-def _place(arguments):
+def _place(arguments: Namespace) -> None:
     """Make the recording's folder, or see that there is one to go on with. Raises RigError otherwise."""
     out, journal = arguments.out, arguments.out / "journal.jsonl"
     if arguments.resume:
@@ -116,9 +120,10 @@ def _place(arguments):
         raise RigError(f"{out} cannot be made: {error.strerror}") from None
 
 
-def _run(arguments, design, planned, settle, options):
+def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle: Settling, options: tuple) -> int:
     from rig.clock import SystemClock
     from rig.commands.bench import bench_of, set_exposures, shutter_of
+    from rig.commands.driving import driving, settled_status
     from rig.commands.watching import displays_of, looking_of
     from rig.journal import Began, Journal
     from rig.operate import Operator
@@ -166,7 +171,7 @@ def _run(arguments, design, planned, settle, options):
     return 0
 
 
-def _origin(journal, clock):
+def _origin(journal: Journal, clock: Clock) -> float:
     """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still goes on."""
     origin, last = journal.rows[0].wall, journal.rows[-1].t
     if clock.now() - origin > last:
@@ -175,7 +180,7 @@ def _origin(journal, clock):
     return clock.now() - last - 1.0
 
 
-def _hash(planned):
+def _hash(planned: tuple[Step, ...]) -> str:
     """sha256 of the places and exposures of a plan."""
     import numpy as np
 
@@ -185,7 +190,7 @@ def _hash(planned):
     return digest.hexdigest()
 
 
-def _same(began, planned, arguments):
+def _same(began: Began, planned: tuple[Step, ...], arguments: Namespace) -> None:
     """Raise RigError where a journal is not of this plan."""
     if began.sha256 != _hash(planned):
         raise RigError(f"{arguments.out} is of another plan than --plan {arguments.plan} --seed {arguments.seed} on {arguments.design}")

@@ -1,6 +1,6 @@
 """rig status RIG.toml."""
 
-from rig.commands.driving import add_driving, design_of, driving, print_status
+from rig.commands.output import add_driving
 
 
 def arguments(parser):
@@ -10,6 +10,8 @@ def arguments(parser):
 
 def run(arguments):
     """Say what the controller says; nothing moves."""
+    from rig.commands.driving import design_of, driving, print_status
+
     design = design_of(arguments.design, arguments.port)
     with driving(design, arguments.trace, print) as driver:
         print_status(driver.status(), design)

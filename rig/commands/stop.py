@@ -1,6 +1,6 @@
 """rig stop RIG.toml."""
 
-from rig.commands.driving import add_driving, design_of, driving, print_status
+from rig.commands.output import add_driving
 
 PATIENCE = 10.0  # s for a process that drives to let go
 
@@ -13,6 +13,7 @@ def arguments(parser):
 def run(arguments):
     """Stop the struts, and whatever process moves them; its run can be resumed."""
     from rig.clock import SystemClock
+    from rig.commands.driving import design_of, driving, print_status
     from rig.occupied import interrupt
 
     design = design_of(arguments.design, arguments.port)

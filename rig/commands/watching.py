@@ -21,7 +21,7 @@ def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looki
     learner = None
     if measured and design.mechanism.kind == "hexapod":
         learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None)
-    return Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt, [])
+    return Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt)
 
 
 @contextmanager
