@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-from calib.certificate import Figures, HeldOut
 from calib.correction import Correction
 from calib.store import Calibration, save
 from rig import design_file, mechanisms
@@ -36,10 +35,8 @@ def calibration(emulated, rig):
     """A calibration of a machine that is not quite as stated."""
     nominal = design_file.load(rig).mechanism
     fitted = world.draw(design_file.load(rig), np.random.default_rng(4)).true.mechanism
-    none = Figures(1, (0.0,) * 3, (0.0,) * 3, (0.0,) * 6, (0.0,) * 2)
     path = emulated.folder / "calibration.json"
-    save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), HeldOut(none, none, (0.0, 0.0), (1.0,) * 3),
-                           {"inputs_sha256": {}}))
+    save(path, Calibration(Correction(nominal, fitted, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {"inputs_sha256": {}}))
     return str(path), fitted
 
 

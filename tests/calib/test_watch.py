@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from calib.certificate import Figures, HeldOut
 from calib.correction import Correction
 from calib.store import Calibration
 from calib.watch import Learner, LimbWatch
@@ -42,8 +41,7 @@ def test_what_is_expected_comes_near_and_a_missed_step_is_named(machine):
 
 def test_a_drift_from_the_calibration_is_said_once(machine):
     nominal, true, commands, measured = machine
-    none = Figures(1, (0.0,) * 3, (0.0,) * 3, (0.0,) * 6, (0.0,) * 2)
-    calibration = Calibration(Correction(nominal, true, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), HeldOut(none, none, (0.0, 0.0), (1.0,) * 3), {})
+    calibration = Calibration(Correction(nominal, true, (None,) * 6), np.eye(42) * 1e-12, np.zeros(6), (0,), (), None, {})
     learner, drifts = Learner(nominal, calibration, (5e-5, 1e-3)), []
     for k, command in enumerate(commands):
         learnt = learner.learn(command, measured(command, 1e-5 * max(k - 20, 0)), np.diag(SIGMA**2))
