@@ -1,5 +1,6 @@
 """What a calibration promises, from poses that it was not fitted to."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +9,10 @@ from calib.claim import LEAST, Claim, promise
 from calib.configurations import folds, labels, ranges, witnesses
 from calib.correction import Correction, calibrate
 from calib.identify import Identified, identify, pose_jacobian
+from calib.samples import Samples
 from calib.tolerance import tolerance
 from rig import mechanisms
+from rig.design import Hexapod
 from rig.pose import difference
 
 FOLDS = 5
@@ -66,7 +69,8 @@ def figures(errors):
     return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
 
 
-def compare(errors_before, errors_after, covariance, rng, label=None):
+def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
+            label: np.ndarray | None = None) -> HeldOut:
     """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
 
     label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
@@ -108,7 +112,8 @@ def errors_of(correction, samples):
     return errors
 
 
-def certify(samples, nominal, rng, progress=None):
+def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
+            progress: Callable[[str, int, int], None] | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
     The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness, and how good
@@ -136,7 +141,7 @@ def certify(samples, nominal, rng, progress=None):
     return Certified(correction, found, label, compare(before, plain, samples.total_covariance(), rng, label))
 
 
-def _silent(label, done, of):
+def _silent(label: str, done: int, of: int) -> None:
     pass
 
 
@@ -152,7 +157,7 @@ def _held_out(samples, nominal, label, remainder, prior, said):
     return before, after
 
 
-def promised(samples, done: Certified, rng) -> Claim:
+def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
     nominal = done.correction.nominal
     good = done.found.inliers

@@ -9,10 +9,14 @@ to draw, is the claim. How much noise and misfit there is, is drawn as well (chi
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from calib.identify import PRIOR, parameters, pose_jacobian
+from calib.correction import Correction
+from calib.identify import PRIOR, Identified, parameters, pose_jacobian
+from calib.samples import Samples
 from calib.tolerance import Tolerance, spread
 from rig import mechanisms
+from rig.design import Hexapod
 from rig.errors import NotConverged
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
@@ -26,7 +30,7 @@ EDGES = (0.5, 0.025, 0.975)
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """distinct : configurations recorded; determined : combinations that the poses tell at all (of a hexapod: to 5 mm), of `unknowns`;
+    """distinct : configurations recorded; determined : combinations, of `unknowns`, that the poses tell at all (of a hexapod: to 5 mm);
     better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words; workspace : what is meant, in words
     before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
     95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
@@ -56,7 +60,7 @@ class Workspace:
     own: np.ndarray
     words: str
 
-    def squares(self, draws):
+    def squares(self, draws: np.ndarray) -> np.ndarray:
         """(before, after), each (d, 2) m^2 and rad^2, mean over the places, of machines that are draws (d, k) from the corrected model."""
         out = np.empty((2, len(draws), 2))
         for c, part in enumerate((slice(0, 3), slice(3, 6))):
@@ -68,7 +72,7 @@ class Workspace:
         return out
 
 
-def claimed(workspace, draws, samples, common, rng, **known):
+def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, common: bool, rng: np.random.Generator, **known: int | str) -> Claim:
     """Claim of machines drawn (d, k) about the corrected model; samples : Samples, for what their instrument adds.
 
     common : whether that has errors shared by all poses; known : the other fields. rng : numpy Generator
@@ -83,25 +87,25 @@ def claimed(workspace, draws, samples, common, rng, **known):
     return Claim(workspace=workspace.words, before=_both(before), after=_both(after), ratio=_three(ratio), measured=_three(measured), **known)
 
 
-def _three(values):
+def _three(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(value) for value in np.quantile(values, EDGES))
 
 
-def _both(squares):
+def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
-def too_few(distinct, determined, better, unknowns, tolerance, workspace):
+def too_few(distinct: int, determined: int, better: int, unknowns: int, tolerance: str, workspace: str) -> Claim:
     """The Claim of fewer than LEAST distinct configurations: none, and why."""
     return Claim(distinct, determined, better, unknowns, tolerance, workspace, None, None, None, None,
                  f"{_counted(distinct)} cannot say how the model does at others; a factor takes {LEAST}")
 
 
-def _counted(distinct):
+def _counted(distinct: int) -> str:
     return f"{distinct} distinct configuration" + ("" if distinct == 1 else "s")
 
 
-def dispersion(cost, freedom, count, rng):
+def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of freedom.
 
     cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
@@ -109,7 +113,7 @@ def dispersion(cost, freedom, count, rng):
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def promise(found, tolerance: Tolerance, correction, samples, rng):
+def promise(found: Identified, tolerance: Tolerance, correction: Correction, samples: Samples, rng: np.random.Generator) -> Claim:
     """Claim of a hexapod's calibration.
 
     found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
@@ -134,7 +138,7 @@ def promise(found, tolerance: Tolerance, correction, samples, rng):
                    unknowns=42, tolerance=said)
 
 
-def _closing(commands, correction):
+def _closing(commands: np.ndarray, correction: Correction) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, 6) that close on a pose, and these poses."""
     try:
         return commands, correction.predict(commands)
@@ -143,7 +147,7 @@ def _closing(commands, correction):
         return rest, correction.predict(rest)
 
 
-def _machines(found, tolerance, nominal, rng):
+def _machines(found: Identified, tolerance: Tolerance, nominal: Hexapod, rng: np.random.Generator) -> np.ndarray:
     """(DRAWS, 42) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
     inflated = dispersion(found.cost, 6 * int(found.inliers.sum()), DRAWS, rng)
@@ -154,7 +158,7 @@ def _machines(found, tolerance, nominal, rng):
     return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]
 
 
-def _scatters(found, rng):
+def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
     """(DRAWS, 6) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
     count = int(found.inliers.sum())
     freedom = max(count - 7, 1)
@@ -163,6 +167,6 @@ def _scatters(found, rng):
     return np.where(found.scatter > 0, np.maximum(seen - noise, 0), 0)
 
 
-def _tolerance_in_words(tolerance):
+def _tolerance_in_words(tolerance: Tolerance) -> str:
     joints, zeros = tolerance.prior[0], tolerance.prior[-1]
     return f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses have it"

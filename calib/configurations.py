@@ -4,12 +4,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples import Samples, blocks
+from rig.design import Arm, Hexapod
 from rig.pose import difference, exp
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
 
 
-def labels(commanded, ranges):
+def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """(n,) number of each command's configuration, counted in the order of their first visits.
 
     commanded : (n, axes) m or rad; ranges : (axes, 2) of the axes
@@ -25,17 +26,17 @@ def labels(commanded, ranges):
     return out
 
 
-def ranges(mechanism):
+def ranges(mechanism: Hexapod | Arm) -> np.ndarray:
     """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
     return mechanism.limits if mechanism.kind == "arm" else mechanism.strut_range
 
 
-def folds(label, count):
+def folds(label: np.ndarray, count: int) -> np.ndarray:
     """(n,) fold of each sample: whole stretches in time of the configurations (n,), none of which is in two folds."""
     return blocks(label.max() + 1, count)[label]
 
 
-def witnesses(samples, label, to_pose):
+def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Samples:
     """Samples with one row for each configuration: the mean of its repeats, weighted by their covariance, at the mean of their commands.
 
     samples : Samples; label : (n,) from `labels`; to_pose : (n, 6, axes) change of each pose's tangent with the commands

@@ -14,6 +14,7 @@ from scipy.stats import chi2, norm
 
 from calib import closed_loop
 from calib.least_squares import Fit, Linear, fit
+from calib.samples import Samples
 from rig.errors import NotEnoughData, RigError
 from rig.design import Hexapod
 from rig.mechanisms import hexapod as mechanism
@@ -60,7 +61,7 @@ def with_parameters(hexapod, p):
     return replace(hexapod, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
 
 
-def identify(samples, nominal, offset=None, prior=None):
+def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = None, prior: np.ndarray | None = None) -> Identified:
     """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow.
 
     samples : Samples; nominal : Hexapod, where the fit starts and where its prior holds what the poses do not tell

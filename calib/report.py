@@ -7,7 +7,8 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib.certificate import errors_of
+from calib.certificate import HeldOut, errors_of
+from calib.claim import Claim
 from calib.observability import combinations
 from calib.verdict import verdict
 from rig import mechanisms
@@ -181,13 +182,14 @@ def calibration_page(path, recording, calibration, samples, found):
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
-def worth(claim):
+def worth(claim: Claim) -> list[str]:
     """HTML paragraphs of a Claim: the verdict, then on what it rests."""
     first, *rest = verdict(claim)
-    return [f"<p><b>{html.escape(first[0].upper() + first[1:])}.</b></p>", "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in rest) + "</ul>"]
+    return [f"<p><b>{html.escape(first[0].upper() + first[1:])}.</b></p>",
+            "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in rest) + "</ul>"]
 
 
-def _held(held):
+def _held(held: HeldOut | None) -> list[str]:
     if held is None:
         return []
     rows = [("owner's model", *_figures(held.before)), ("corrected", *_figures(held.after))]

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify import PRIOR, parameters
+from calib.identify import PRIOR, Identified, parameters
+from rig.design import Hexapod
 
 LEAST = 1e-5  # m; no owner knows his joints better
 STEPS = 25  # of the grid of either width, in equal ratios
@@ -27,17 +28,17 @@ class Tolerance:
     right: np.ndarray
 
     @property
-    def prior(self):
+    def prior(self) -> np.ndarray:
         """(42,) m, the likeliest standard deviation of each parameter (the mean of its logarithm)."""
         return spread(np.exp(self.weight @ np.log(self.widths)))
 
 
-def spread(widths):
+def spread(widths: np.ndarray) -> np.ndarray:
     """(..., 42) of widths (..., 2) of joints and zeros."""
     return np.repeat(widths, (36, 6), axis=-1)
 
 
-def tolerance(found, nominal):
+def tolerance(found: Identified, nominal: Hexapod) -> Tolerance:
     """Tolerance of an Identified: widths from 10 um to 5 mm, each order of magnitude as likely as another before the poses."""
     information = found.root.T @ found.root
     right = information @ (parameters(found.hexapod) - parameters(nominal)) + (parameters(found.hexapod) - parameters(nominal)) / found.prior**2

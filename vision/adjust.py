@@ -125,7 +125,7 @@ def _finish(observations, estimate, stated, u, W, free):
                       np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
 
 
-def _inverse_root(information, u):
+def _inverse_root(information: np.ndarray, u: Unknowns) -> np.ndarray:
     """Square root of the inverse of what the images say (k, k) of the basis' directions. Raises NotEnoughData naming what they leave open."""
     if not len(information):
         return np.zeros((0, 0))

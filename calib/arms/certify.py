@@ -1,5 +1,6 @@
 """What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,8 @@ from calib.arms.place import placed
 from calib.certificate import GAIN, HeldOut, compare, correlation, errors_of
 from calib.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
 from calib.configurations import folds, labels, ranges, witnesses
+from calib.samples import Samples
+from rig.design import Arm, Instrument
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
 
@@ -37,7 +40,8 @@ class Certified:
     geometry: HeldOut | None
 
 
-def certify(samples, nominal, instrument, rng, progress=None):
+def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: np.random.Generator,
+            progress: Callable[[str, int, int], None] | None = None) -> Certified:
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
     samples : Samples; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
@@ -68,19 +72,19 @@ def certify(samples, nominal, instrument, rng, progress=None):
     return Certified(correction, found, label, *held)
 
 
-def _parts(label):
+def _parts(label: np.ndarray) -> np.ndarray:
     """(n,) part of each sample: every third stretch of the configurations (n,) at once; of few configurations, one by one or a tenth."""
     count = label.max() + 1
     return folds(label, min(STRETCHES, count)) % (PARTS if count >= FEW else min(count, 10))
 
 
-def _enough_for_any(samples, nominal):
+def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
     kind = of_samples(samples).kind
     needed(len(samples), WIDTH[kind], int(parameters(nominal, kind).sum()))
 
 
-def _enough(samples, found, label, parts):
+def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.ndarray) -> bool:
     """Whether there are LEAST configurations, and more equations than parameters without the largest part."""
     left = len(samples) - np.bincount(parts).max()
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
@@ -146,7 +150,7 @@ def _spread(errors):
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 
 
-def promised(samples, done: Certified, rng) -> Claim:
+def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration once."""
     found, correction = done.found, done.correction
     good = found.inliers

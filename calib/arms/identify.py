@@ -101,7 +101,7 @@ def identify(observations, nominal, free=None, farthest=FARTHEST):
     return Identified(arm, covariance, rank.free, rank, fit.shared, fit.left, scatter, inliers, total)
 
 
-def needed(count, k, free):
+def needed(count: int, k: int, free: int) -> None:
     """Raises NotEnoughData, with how many it takes, where `count` observations of k numbers each are too few for `free` parameters."""
     if k * count <= free:
         raise NotEnoughData(f"{count} observations give {k * count} equations, too few for {free} parameters; it takes {free // k + 1} different "

@@ -11,7 +11,8 @@ from calib.arms import certify as certifying
 from calib.arms import model
 from calib.arms.certify import calibrate, certify
 from rig import cli
-from rig.errors import Unreachable
+from rig.errors import NotEnoughData, Unreachable
+from rig.plan import low_discrepancy
 from rig.pose import difference, exp, vector
 from tests.calib import arm_worlds as worlds
 from tests.cli import run
@@ -162,6 +163,40 @@ def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys
     (tmp_path / "rec" / "poses.csv").write_text("frame,x,y,z\n" + "".join(f"{i},0,0,0.4\n" for i in range(8)))
     assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
     assert "positions alone calibrate arms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", range(1, 16))
+def test_few_poses_are_fitted_or_say_what_it_takes(count):
+    rng = np.random.default_rng(count)
+    samples = worlds.tracked(worlds.secret(UR10, rng), UR10, count, rng)
+    if count < 6:
+        with pytest.raises(NotEnoughData, match="it takes 6 different poses at the least"):
+            certify(samples, UR10, worlds.TRACKER, rng)
+        return
+    if count > 9 and count % 5:
+        done = calibrate(samples, UR10, worlds.TRACKER, False)[1]  # the folds of these are tried at 8, 9, 10 and 15
+        assert done.rank.free.sum() == 30
+        return
+    done = certify(samples, UR10, worlds.TRACKER, rng)
+    claim = certifying.promised(samples, done, rng)
+    assert claim.distinct == count and (claim.ratio is None) == (done.held_out is None) == (count < 8)
+
+
+def test_an_arms_claims_cover_what_is_found_elsewhere():
+    inside = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = worlds.secret(UR10, rng)
+        samples = worlds.tracked(true, UR10, 36 + 4 * seed, rng, again=4 * seed)
+        done = certify(samples, UR10, worlds.TRACKER, rng)
+        claim = certifying.promised(samples, done, rng)
+        seen = np.stack([samples.commanded.min(axis=0), samples.commanded.max(axis=0)], axis=1)
+        q = low_discrepancy(seen, 200, seed=seed)
+        real = model.predicted(q, true)
+        before, after = (np.mean(difference(T, real)[:, :3] ** 2) for T in (model.predicted(q, done.correction.nominal), done.correction.predict(q)))
+        inside.append(claim.ratio[1] <= np.sqrt(before / after) <= claim.ratio[2])
+        assert claim.distinct == 36
+    assert sum(inside) >= 4  # 0.95 of 6: fewer than 4 once in 500
 
 
 @pytest.mark.slow

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.certificate import certify, promised
+from calib.certificate import certify, compare, errors_of, promised
 from calib.configurations import folds, labels, ranges, witnesses
 from calib.identify import identify, parameters
 from calib.pipeline import sample_recording
 from calib.tolerance import tolerance
-from calib.verdict import verdict
+from calib.verdict import kept, verdict, verified
 from rig import plan, recording
 from rig.mechanisms import hexapod
 from rig.pose import difference
@@ -94,6 +94,18 @@ def test_few_configurations_claim_no_factor_and_say_why(design, distinct):
     assert done.held_out is None and claim.ratio is None and claim.distinct == distinct and claim.determined == min(6 * distinct, 42)
     said = verdict(claim)
     assert said[0].startswith("no factor is claimed") and "takes 8" in said[0] and f"{min(6 * distinct, 42)} of 42 combinations" in said[1]
+
+
+def test_a_claim_is_kept_or_it_is_not(design):
+    samples, true = sampled(design, 6, 30)
+    done = certify(samples, design.mechanism, np.random.default_rng(0))
+    claim = promised(samples, done, np.random.default_rng(0))
+    commands = plan.low_discrepancy(design.mechanism.strut_range, 40, seed=77)
+    fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
+    other = sampled(design, 6, 40, commands=commands, noise_seed=5, deviation=lambda c: np.full(c.shape, 2e-4) * [1, -1, 1, -1, 1, -1])[0]
+    held = [compare(*errors_of(done.correction, some), some.total_covariance(), np.random.default_rng(0)) for some in (fresh, other)]
+    assert [kept(one, claim) for one in held] == [True, False]
+    assert "the claim is kept" in verified(held[0], claim) and "NOT kept" in verified(held[1], claim)
 
 
 def test_repeats_make_no_claim_better_than_its_configurations(design):
