@@ -23,10 +23,11 @@ class Sampled:
     collected: Collected | None
 
 
-def sample_recording(recording, free=("poses", "lenses"), progress=None):
+def sample_recording(recording, free=("poses", "lenses"), progress=None, look=None):
     """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else poses.csv.
 
-    progress : called with (label, done, of), or None. Raises RigError without commands, NotEnoughData without poses.
+    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None
+    Raises RigError without commands, NotEnoughData without poses, and what look raises
     """
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     outside = recording.poses is not None and (recording.design.instrument is not None
@@ -35,7 +36,7 @@ def sample_recording(recording, free=("poses", "lenses"), progress=None):
         return Sampled(_from_poses(recording), "poses.csv", None, None)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
-    measured, collected = measure_recording(recording, free, progress=progress)
+    measured, collected = measure_recording(recording, free, progress=progress, look=look)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
     return Sampled(samples(recording, measured.frames, measured.T_base_platform, own, measured.common), source, measured, collected)

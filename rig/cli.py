@@ -19,6 +19,7 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 WRITTEN = ("out", "truth", "state")  # arguments that name what is written; all other paths are read
 
 COMMANDS = {
+    "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",

@@ -37,6 +37,14 @@ class Determined:
             out.append("every adjusted combination is determined by the images better than by what was stated")
         return out
 
+    def summary(self) -> str:
+        """The statement in one line: how much the recording determines; which, the lines say."""
+        weak, pairs = len(self.undetermined), len(self.entangled)
+        left = [f"{weak} combination{'s' * (weak > 1)} of them it cannot determine"] * bool(weak) + [
+            f"{pairs} pair{'s' * (pairs > 1)} hardly to be told apart"] * bool(pairs)
+        return (f"{self.unknowns} shared unknowns adjusted to this recording" + (f"; {' and '.join(left)}: the page lists them" if left else ", all determined by it")
+                + f"; {'; '.join(self.held)}")
+
 
 def determined(adjustment):
     """Determined of an Adjustment: its covariance held against what each unknown was worth before."""

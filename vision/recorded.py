@@ -16,14 +16,14 @@ REFUSED = 0.05  # of the frames; where more show enough and are refused, the sta
 PLACES = ("auto", "stated", "free")
 
 
-def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None, places="stated"):
+def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None, places="stated", look=None):
     """(Measurement, Collected or None) of a recording.
 
     free : what is adjusted, see vision.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
     "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames, or most of the corners' scatter
     comes from them
     detect_anew : read the images even where corners.csv is there
-    progress : called with (label, done, of), or None
+    progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
     design = recording.design
@@ -40,17 +40,19 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     def said(label):
         return (lambda done, of: progress(label, done, of)) if progress else None
 
-    def solved(corners, correlation=None):
+    def solved(corners, correlation=None, look=None):
+        if look:
+            look(corners)
         return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, progress, t, places)
 
     if recording.corners is not None and not detect_anew:
-        return solved(recording.corners), None
+        return solved(recording.corners, look=look), None
     if not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: frames.csv names no images and there is no corners.csv, so there is nothing to measure")
     found = collect(recording, markers, said("reading images"))
     if not len(found.corners.frame):
         raise NotEnoughData(f"{recording.folder}: no marker of rig.toml was found in any of {_why_none(recording, found, markers)}")
-    measured = solved(found.corners, found.correlation)
+    measured = solved(found.corners, found.correlation, look)
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again

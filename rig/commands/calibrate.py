@@ -3,7 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved, read_recording
+from rig.commands import checking
+from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved
 from rig.errors import RigError
 
 
@@ -13,14 +14,14 @@ def arguments(parser):
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     add_force(parser)
+    checking.argument(parser)
 
 
 def run(arguments):
     """Calibrate a recording and write the calibration and its report."""
-
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = read_recording(arguments)
+    recording, look = checking.begin(arguments)
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
 
@@ -28,7 +29,7 @@ def run(arguments):
 
     from calib.pipeline import sample_recording
 
-    sampled = sample_recording(recording, progress=progress)
+    sampled = sample_recording(recording, progress=progress, look=look)
     rng = np.random.default_rng(SEED)
     if recording.design.mechanism.kind == "arm":
         if arguments.joint:

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, add_force, add_recording, read_recording
+from rig.commands import checking
+from rig.commands.output import Progress, add_force, add_recording
 from rig.errors import RigError
 
 
@@ -15,6 +16,7 @@ def arguments(parser):
     parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
     parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
     add_force(parser)
+    checking.argument(parser)
 
 
 def run(arguments):
@@ -23,7 +25,9 @@ def run(arguments):
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = read_recording(arguments)
+    recording, look = checking.begin(arguments)
+    if recording.corners is not None:
+        look(recording.corners)
     for text in (arguments.only or []) + arguments.without:
         asked(text, recording.design)
     out = arguments.outputs.folder(arguments.out)

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from rig.commands.output import Progress, add_force, add_recording, print_unsolved, read_recording
+from rig.commands import checking
+from rig.commands.output import Progress, add_force, add_recording, print_unsolved
 from rig.errors import RigError
 
 
@@ -15,6 +16,7 @@ def arguments(parser):
                         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen")
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
     add_force(parser)
+    checking.argument(parser)
 
 
 def run(arguments):
@@ -22,14 +24,13 @@ def run(arguments):
     from rig import provenance, writing
     from rig import recording as recordings
     from rig.design_file import with_cameras, with_places
-    from rig.pose import vector
 
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
     if hold - {"poses", "lenses"}:
         raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = read_recording(arguments)
+    recording, look = checking.begin(arguments)
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
@@ -43,8 +44,8 @@ def run(arguments):
     from vision.recorded import measure_recording
     from vision.targets import marker_map
 
-    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, progress, arguments.places)
-    held, statement = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment).lines()
+    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, progress, arguments.places, look)
+    held, determination = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment)
     moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
     wrong = suspects(measured, marker_map(recording.design), collected, image_reader(recording))
     text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
@@ -52,28 +53,37 @@ def run(arguments):
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    measurement_page(out / "report.html", recording, measured, collected, moved, statement, wrong)
-    position, rotation = uncertainty(measured.covariance)
-    total = len(recording.exposures.times()[0])
-    print(f"{len(measured.frames)} of {total} frames solved, {measured.inliers.sum()} of {len(measured.inliers)} corners used; "
-          f"corners scatter by {measured.noise:.4f} px")
-    print(f"standard uncertainty of a pose (RMS): {position * 1e3:.4f} mm, {rotation * 1e3:.4f} mrad")
-    for stated, camera in zip(recording.design.cameras, measured.design.cameras):
-        step = vector(stated.pose.inv() * camera.pose)
-        print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
-              f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
-    print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
-          f"{held.rms:.3f} px RMS over {held.corners} corners" if held else f"no held-out figure: {held.reason}")
-    for line in statement:
-        print(line)
-    if moved:
-        _print_places(moved)
+    measurement_page(out / "report.html", recording, measured, collected, moved, determination.lines(), wrong)
+    _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
+    print_unsolved(measured)
     if wrong:
         print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
         for suspect in wrong:
             print(f"  {suspect}")
-    print_unsolved(measured)
+    if moved:
+        _print_places(moved)
+    _print_cameras(recording.design.cameras, measured.design.cameras)
+    print(determination.summary())
     print(f"written: {arguments.out}/poses.csv, corners.csv, rig.toml; look at {arguments.out}/report.html")
+
+
+def _print_verdict(measured, held, uncertainties, total):
+    """Print how much was measured and how well, the rest follows."""
+    print(f"measured: {len(measured.frames)} of {total} frames solved, poses to {uncertainties[0] * 1e3:.4f} mm and {uncertainties[1] * 1e3:.4f} mrad "
+          "(standard uncertainty, RMS)")
+    print(f"corners scatter by {measured.noise:.4f} px; {measured.inliers.sum()} of {len(measured.inliers)} used")
+    print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "
+          f"{held.rms:.3f} px RMS over {held.corners} corners" if held else f"no held-out figure: {held.reason}")
+
+
+def _print_cameras(stated_cameras, cameras):
+    """Print how far each camera stands from where its owner has it."""
+    from rig.pose import vector
+
+    for stated, camera in zip(stated_cameras, cameras):
+        step = vector(stated.pose.inv() * camera.pose)
+        print(f"camera {camera.name}: {(step[:3] ** 2).sum() ** 0.5 * 1e3:.3f} mm and {(step[3:] ** 2).sum() ** 0.5 * 1e3:.3f} mrad from "
+              f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
 
 
 def _print_places(moved):

@@ -1,0 +1,60 @@
+"""rig check REC."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands import checking
+from rig.errors import FileError
+from rig.mistakes.mistake import Mistake, in_order
+
+if TYPE_CHECKING:
+    from rig.recording import Corners, Recording
+
+CERTAIN = 0.7  # proof of a mistake in the files, from which nothing is learnt by looking farther
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("--detect", action="store_true", help="read some images even if corners.csv is there, and hold both against each other")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Say all that is wrong or unlikely with a recording, the most likely cause first; 1 where results would mean nothing."""
+    from rig import recording as recordings
+    from rig.mistakes.early import early
+    from rig.mistakes.unreadable import unreadable
+
+    try:
+        recording = recordings.load(arguments.recording)
+    except FileError as error:
+        return _say((*unreadable(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")))
+    found = [*early(recording)]
+    if any(one.spoils and one.proof >= CERTAIN for one in found):
+        return _say(in_order([*found, Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)]))
+    found += checking.of_poses(recording)
+    corners = recording.corners
+    if recording.has_images and (corners is None or arguments.detect):
+        from vision.mistakes.images import read
+
+        seen, more = read(recording)
+        found += more
+        corners = corners or seen
+    if corners is not None:
+        found += _looked(recording, corners)
+    return _say(in_order(found))
+
+
+def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
+    from vision.mistakes import look
+
+    return look(recording, corners, thorough=True)
+
+
+def _say(found: tuple[Mistake, ...]) -> int:
+    for one in found:
+        print(f"{'wrong' if one.spoils else 'unlikely'}: {one}")
+    if not found:
+        print("nothing wrong or unlikely was found")
+    return int(any(one.spoils for one in found))

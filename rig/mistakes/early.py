@@ -1,0 +1,36 @@
+"""All that needs no image looked at: files against each other, figures against what rigs have."""
+
+import tomllib
+from collections.abc import Iterator
+
+from rig.mistakes import clocks, folder, lengths, stated, weather
+from rig.mistakes.mistake import Mistake, in_order
+from rig.recording import Recording
+
+
+def early(recording: Recording) -> tuple[Mistake, ...]:
+    """Mistakes that a Recording's files show by themselves, in order."""
+    return in_order(_all(recording))
+
+
+def _all(recording: Recording) -> Iterator[Mistake]:
+    r, design = recording, recording.design
+    yield from stated.written(tomllib.loads((r.folder / "rig.toml").read_text(encoding="utf-8-sig")))
+    yield from stated.figures(design)
+    yield from weather.environment(design)
+    times = {"frames.csv": r.exposures.times()[1]}
+    if r.commands is not None:
+        times["commands.csv"] = r.commands.t
+        odd = list(lengths.commands(r.commands, design))
+        yield from odd
+        if not odd:
+            unit = "rad" if design.mechanism.kind == "arm" else "m"
+            yield from clocks.pace(r.commands.t, r.commands.values, times["frames.csv"], unit, design.actuator.max_speed if unit == "m" else None)
+    if r.sensors is not None:
+        times["sensors.csv"] = r.sensors.t
+        yield from weather.sensors(r.sensors, design)
+    yield from clocks.between(times)
+    yield from clocks.repeated(times["frames.csv"])
+    yield from folder.unused(r)
+    yield from folder.images(r)
+    yield from folder.pixels(r)

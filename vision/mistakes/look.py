@@ -1,0 +1,188 @@
+"""What a recording's corners say of its user's mistakes: a few frames as stated, and where they disagree, as any mistake would have them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import RigidTransform
+
+from rig.design import Design
+from rig.effects.edge_bias import EdgeBias
+from rig.mistakes import Mistake, in_order
+from rig.mistakes import motion
+from rig.recording import Corners, Recording
+from vision.mistakes import cameras, targets
+from vision.mistakes import corners as order
+from vision.mistakes.sample import LOST, Seen, Trial, of, trial
+
+FINE = 0.3  # px; a misfit below it is noise and what calibration takes up
+GROSS = 2.0  # px; a misfit beyond it is no matter of sizes and lenses alone
+UNEXPLAINED = 5.0  # px; a misfit that nothing explains, places of markers neither, is spoken of from here on
+ALIKE = 1.5  # times the least misfit: of mistakes that explain as much, the one is meant that leaves the cameras where they are stated
+LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
+HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners that is no chance
+BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
+BETTER = 0.35  # of the misfit that a mistake named may leave
+DONE = 0.5  # px; a mistake that leaves less explains all
+AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
+NEARER = 0.25  # of that, which a mistake named may leave
+BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
+MOVING = 120  # frames whose poses are held against the commands
+
+
+def look(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
+    """Mistakes that a recording's corners show, in order; nothing is written and nothing changed.
+
+    corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands, not a few
+    """
+    frames, t = recording.exposures.times()
+    seen = of(recording.design, corners, frames, t)
+    if seen is None:
+        return ()
+    first = trial(seen)
+    found, best = _seen(first)
+    if best.measured is not None:
+        found += _posed(best, recording.design) + _lens(best, best.seen.design)
+        found += _moved(recording, corners if not any(one.spoils for one in found) else None, best, thorough)
+    return in_order(found)
+
+
+def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
+    """Mistakes that explain a misfit, and the Trial that is best."""
+    if first.misfit < FINE:
+        return [], first
+    sized, best = _sized(first)
+    if best.misfit > DONE and first.misfit > FINE:
+        rivals = [(what, do, other) for what, do, other in _tried(first) if other.misfit < BETTER * first.misfit]
+        if rivals:
+            least = min(other.misfit for *_, other in rivals)
+            what, do, other = min((one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2]))
+            if other.misfit < 0.7 * best.misfit:
+                return [Mistake(f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {other.misfit:.3g} px so"
+                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, True, LIKELY * (1 - other.misfit / first.misfit))], other
+    if sized:
+        return sized, best
+    if first.misfit > UNEXPLAINED and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
+        return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and no usual mistake explains "
+                        "it", "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
+                        first.misfit > 0.8 * LOST, 0.2)], first
+    return [], first
+
+
+def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
+    """The print's scale, where that explains the misfit."""
+    tried = [(body, share, trial(other)) for body, share, other in targets.sizes(first.seen)]
+    if not tried:
+        return [], first
+    body, share, best = min(tried, key=lambda one: one[2].misfit)
+    share = targets.exact(first.seen, share, body, lambda seen: trial(seen).misfit)
+    at = trial(targets.with_sides(first.seen, share, body))
+    best = at if at.misfit < best.misfit else best
+    if best.misfit**2 > HALF * first.misfit**2 or abs(share - 1) < targets.PRINTED or _edges(first) < best.misfit:
+        return [], first
+    who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
+    said = targets.said(share, who) + (f", those on the {body}" if body else "")
+    return [Mistake(f"rig.toml: {said}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px so",
+                    "Measure the outer side of a black border and state it as marker (or side), in metres; print without fitting to the page", True,
+                    LIKELY * (1 - best.misfit / first.misfit))], best
+
+
+def _edges(first: Trial) -> float:
+    """px that an edge bias leaves: black that spreads or shrinks by as much in every image is the cameras' doing, not the printer's."""
+    def put(bias: float) -> Seen:
+        seen, names = first.seen, np.array(first.seen.corners.camera)
+        c = seen.corners
+        order = np.lexsort((c.corner, c.marker, c.frame, names))
+        uv = c.uv.copy()
+        quads = order.reshape(-1, 4)
+        uv[quads] = EdgeBias("cameras", bias).print_(seen.design.cameras[0], c.uv[quads])
+        return seen.with_corners(uv=uv)
+
+    if len(first.seen.corners.frame) % 4 or (np.bincount(first.seen.corners.corner, minlength=4) * 4 != len(first.seen.corners.frame)).any():
+        return first.misfit
+    return min(trial(put(bias)).misfit for bias in BIASES)
+
+
+def _tried(first: Trial) -> Iterator[tuple[str, str, Trial]]:
+    """(what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all."""
+    seen = first.seen
+    stated = not any(target.body == "base" for target in seen.design.targets)
+    makers: list[Callable[[Seen], Iterator[tuple[str, str, Seen]]]] = [cameras.lenses]
+    if first.misfit > GROSS:
+        makers = [order.candidates, cameras.exchanges, cameras.lenses, order.of_one, *([cameras.posed] if stated else []), targets.exchanged]
+    ones = [lambda s, name=name: targets.of_one(s, name) for name in targets.suspicious(first)] if first.misfit > GROSS else []
+    for make in [*ones, *makers]:
+        tried = [(what, do, trial(other)) for what, do, other in make(seen)]
+        yield from tried
+        if min((one.misfit for *_, one in tried), default=LOST) < min(DONE, 0.1 * first.misfit):
+            return
+
+
+def _posed(best: Trial, design: Design) -> list[Mistake]:
+    """Cameras that the base's markers put elsewhere than rig.toml has them."""
+    m = best.measured
+    on_base = set(m.observations.camera[~m.observations.on_platform & m.inliers].tolist())
+    rows = [i for i, camera in enumerate(design.cameras) if camera.mount == "fixed" and i in on_base]
+    stated, seen = [design.cameras[i] for i in rows], [m.design.cameras[i] for i in rows]
+    far = [k for k in range(len(rows)) if _far(stated[k].pose, seen[k].pose) > 1]
+    if not far:
+        return []
+    gap = max(np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation) for k in far)
+    cost = np.array([[_far(a.pose, b.pose) for b in stated] for a in seen])
+    match = linear_sum_assignment(cost)[1]
+    tail = f" (as stated they are up to {gap * 1e3:.0f} mm off)"
+    if (match != np.arange(len(match))).any() and (cost[np.arange(len(match)), match] < 1).all():
+        pairs = ", ".join(f"{stated[k].name} is where rig.toml has {stated[j].name}" for k, j in enumerate(match) if k != j)
+        return [Mistake(f"cameras are exchanged: {pairs}{tail}", "Exchange the names, in rig.toml or in frames.csv and corners.csv, or the poses alone",
+                        False, 0.9)]
+    found = []
+    ways = {k: {what: _far(pose, seen[k].pose) for what, pose in cameras.poses(stated[k].pose)} for k in far}
+    common = min(ways[far[0]], key=lambda what: max(ways[k][what] for k in far))
+    if len(far) > 1 and max(ways[k][common] for k in far) < 1:
+        return [Mistake(f"rig.toml: cameras {', '.join(stated[k].name for k in far)}: {common}{tail}", cameras.BEFORE, False, 0.85)]
+    for k in far:
+        what = min(ways[k], key=ways[k].get)
+        away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
+        turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
+        said = what if ways[k][what] < max(1.0, NEARER * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
+        found.append(Mistake(f"rig.toml: camera {stated[k].name}: {said}: it stands {away * 1e3:.0f} mm and {np.degrees(turned):.0f} degrees from where "
+                             "it is stated", cameras.BEFORE, False, 0.7))
+    return found
+
+
+def _elsewhere(one: Trial) -> float:
+    """How far a Trial's cameras stand from where they are stated, in all, in what is allowed."""
+    return sum(_far(a.pose, b.pose) for a, b in zip(one.seen.design.cameras, one.measured.design.cameras) if a.mount == "fixed")
+
+
+def _lens(best: Trial, design: Design) -> list[Mistake]:
+    """Lenses that adjusting brought to what another sign or order of the stated terms is."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for stated, seen in zip(design.cameras, best.measured.design.cameras):
+        off = cameras.bend(stated, seen)
+        ways = {(what, do): cameras.bend(other, seen) for what, do, other in cameras.terms(stated)}
+        named = min(ways, key=ways.get, default=None)
+        if off > BENT and named is not None and ways[named] < BETTER * off:
+            found.setdefault(named, []).append(stated.name)
+    return [Mistake(f"rig.toml: {what}, of camera{'s' * (len(names) > 1)} {', '.join(names)}: adjusting them to the images undoes it", do, False, 0.6)
+            for (what, do), names in found.items()]
+
+
+def _far(a: RigidTransform, b: RigidTransform) -> float:
+    """How far two poses are apart, in what is allowed."""
+    return max(float(np.linalg.norm(a.translation - b.translation)) / AWAY[0], float((a.rotation.inv() * b.rotation).magnitude()) / AWAY[1])
+
+
+def _moved(recording: Recording, corners: Corners | None, best: Trial, thorough: bool) -> list[Mistake]:
+    """What commands and the poses seen say of each other. corners : all there are, for more poses; None where they are not as stated."""
+    if recording.commands is None or recording.design.mechanism.kind != "hexapod":
+        return []
+    m = best.measured
+    few = motion.of(recording, m.frames, m.T_base_platform)
+    if corners is not None and (thorough or motion.disagree(few)):
+        many = of(replace(recording.design, cameras=m.design.cameras), corners, *recording.exposures.times(), MOVING)
+        more = trial(many).measured
+        if more is not None:
+            few = motion.of(recording, more.frames, more.T_base_platform)
+    return list(motion.mistakes(few))
