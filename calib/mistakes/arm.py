@@ -7,11 +7,9 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.arms import observations as kinds
-from calib.arms.observations import Observations
-from calib.arms.place import placed
+from calib.mistakes.rough import placed
 from rig.design import Arm, Instrument
-from rig.errors import RigError
+from rig.mechanisms import arm as mechanism
 from rig.mistakes.mistake import Mistake, in_order
 from rig.mistakes.motion import LIKELY, other_poses, written
 from rig.pose import vector
@@ -39,13 +37,11 @@ class Reached:
 
     def miss(self) -> tuple[float, float]:
         """(m, rad), medians of what poses and arm disagree by, the instrument and the target placed as well as may be."""
-        q = self.q[self.index]
-        seen = kinds.of_positions(q, self.T.translation, 1e-4) if self.alone else Observations(
-            "pose", q, self.T, np.broadcast_to(np.diag([1e-8] * 6), (len(q), 6, 6)), np.zeros((len(q), 6, 0)))
-        free = self.instrument or Instrument("rig", "rig", 1e-4, None)
+        q, free = self.q[self.index], self.instrument or Instrument("rig", "rig", 1e-4, None)
         try:
-            r = seen.residuals(placed(seen, self.arm, free.base == "free", free.tool == "free"))
-        except (RigError, ValueError, np.linalg.LinAlgError):
+            arm = placed(q, self.T, self.alone, self.arm, free.base == "free", free.tool == "free")
+            r = vector(mechanism.forward(q, arm).inv() * self.T)
+        except (ValueError, np.linalg.LinAlgError):
             return np.inf, np.inf
         position = float(np.median(np.linalg.norm(r[:, :3], axis=1)))
         return position, 0.0 if self.alone else float(np.median(np.linalg.norm(r[:, 3:], axis=1)))

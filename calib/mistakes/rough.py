@@ -1,0 +1,67 @@
+"""Where an arm stands and its target sits, roughly and at once: hundreds of readings of the same data are compared by what this leaves.
+
+Source: the null vector of M Z' = X F over all poses, Shah, J. Mechanisms Robotics 5, 2013; positions by Kabsch in turn with the target's place
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from rig.design import Arm
+from rig.mechanisms import arm as mechanism
+
+ROUNDS = 60
+STILL = 1e-5  # m
+
+
+def placed(q: np.ndarray, T: RigidTransform, alone: bool, arm: Arm, base: bool, tool: bool) -> Arm:
+    """The Arm with its base and tool where poses T (m,) at angles q (m, n) rad put them. alone : of the poses positions alone are known."""
+    if not (base or tool):
+        return arm
+    links = mechanism.forward(q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
+    if alone:
+        return _from_positions(T.translation, links, arm, base, tool)
+    if not base:
+        return replace(arm, tool=_middle(links.inv() * arm.base.inv() * T))
+    if not tool:
+        return replace(arm, base=_middle(T * (links * arm.tool).inv()))
+    M, F, one = T.rotation.as_matrix(), links.rotation.as_matrix(), np.eye(3)
+    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9), -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)],
+                          axis=2).reshape(-1, 18)
+    null = np.linalg.eigh(rows.T @ rows)[1][:, 0]
+    null = null * np.sign(np.linalg.det(null[9:].reshape(3, 3)))
+    Z, X = _nearest(null[:9].reshape(3, 3).T), _nearest(null[9:].reshape(3, 3))
+    A = np.concatenate([X @ F, np.tile(one, (len(M), 1, 1))], axis=2).reshape(-1, 6)
+    t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
+    return replace(arm, tool=_transform(Z, t[:3]), base=_transform(X, t[3:]))
+
+
+def _from_positions(p: np.ndarray, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:
+    F, f = links.rotation.as_matrix(), links.translation
+    z, X, t = arm.tool.translation, arm.base.rotation.as_matrix(), arm.base.translation
+    for _ in range(ROUNDS if tool and base else 1):
+        before = z
+        if base:
+            reached = F @ z + f
+            X = _nearest((p - p.mean(axis=0)).T @ (reached - reached.mean(axis=0)))
+            t = p.mean(axis=0) - X @ reached.mean(axis=0)
+        if tool:
+            z = np.linalg.lstsq((X @ F).reshape(-1, 3), (p - t - f @ X.T).ravel())[0]
+        if np.abs(z - before).max() < STILL:
+            break
+    return replace(arm, base=_transform(X, t), tool=_transform(arm.tool.rotation.as_matrix(), z))
+
+
+def _nearest(matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a matrix (3, 3)."""
+    U, _, V = np.linalg.svd(matrix)
+    return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
+
+
+def _transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+    return RigidTransform.from_components(t, Rotation.from_matrix(R))
+
+
+def _middle(T: RigidTransform) -> RigidTransform:
+    return RigidTransform.from_components(np.median(T.translation, axis=0), T.rotation.mean())
