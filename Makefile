@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files test test-slow bench clean
+.PHONY: setup demo demo-files test test-slow test-bounds fuzz bench clean
 
 setup: .venv/.ready
 
@@ -20,6 +20,13 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -q -m slow
+
+fuzz: setup
+	$(BIN)/python -m pip install -q atheris
+	$(BIN)/python -m tests.fuzz.campaign 1000000 out/fuzz
+
+test-bounds: setup
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=out/numba-bounds $(BIN)/python -m pytest -q -p no:cacheprovider -n auto tests/calib tests/vision tests/rig
 
 bench: setup
 	$(BIN)/python -m tests.bench

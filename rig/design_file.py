@@ -14,6 +14,7 @@ from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.outside import read_text, shown
 from rig.pose import vector
+from rig.singular import singular
 from rig.toml_positions import positions
 
 SCHEMA = "rig/1"
@@ -82,6 +83,8 @@ def _mechanism(table):
     for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
         if not low <= length <= high:
             table.fail(f"mechanism.home needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
+    if singular(hexapod):
+        table.fail(f"mechanism.home {singular(hexapod)}", "home")
     return hexapod
 
 

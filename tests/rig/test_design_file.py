@@ -141,3 +141,20 @@ def test_positions_survive_odd_toml():
 @pytest.mark.parametrize("path", sorted(SHARED.glob("recordings/*/rig.toml")), ids=lambda p: p.parent.name)
 def test_every_shared_rig_is_read(path):
     design_file.load(path)
+
+
+@pytest.mark.parametrize(("turns", "says"), [((0.0,) * 6, "singular by its architecture"), ((0.2,) * 6, "singular by its architecture"),
+                                             ((0.3, -0.3) * 3, None)])
+def test_similar_hexagons_are_said_to_be_what_they_are(tmp_path, turns, says):
+    def plate(radius, turned):
+        angles = np.radians([0, 60, 120, 180, 240, 300]) + turned
+        return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.zeros(6)], axis=1).round(9).tolist()
+
+    path = tmp_path / "rig.toml"
+    path.write_text(f'schema = "rig/1"\n[mechanism]\nkind = "hexapod"\nbase_joints = {plate(0.3, 0.0)}\nplatform_joints = {plate(0.15, turns)}\n'
+                    f"strut_range = {[[0.2, 0.9]] * 6}\nhome = {{ position = [0, 0, 0.4], rotvec = [0, 0, 0] }}\n")
+    if says is None:
+        assert design_file.load(path).mechanism.kind == "hexapod"
+        return
+    with pytest.raises(FileError, match=says):
+        design_file.load(path)

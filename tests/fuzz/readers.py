@@ -1,0 +1,127 @@
+"""Every reader of outside data, with inputs that it takes: what the fuzzers begin from."""
+
+import contextlib
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calib import store
+from calib.certificate import Figures, HeldOut
+from calib.correction import Correction
+from calib.online import Online
+from rig import design_file, layout, plan, recording, table
+from rig.commands import blind
+from rig.effects import ALL
+from rig.effects.parse import asked, from_dict, parse, placed
+from rig.errors import RigError
+from rig.exposures import load_exposures
+from rig.images import check_image
+from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
+from rig.pose import TRIANGLE
+from synthetic import score, simulation, world
+from vision import board
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """name; seeds : inputs that it takes; read : what reads a file, and raises RigError or returns."""
+
+    name: str
+    seeds: tuple[bytes, ...]
+    read: Callable[[Path], object]
+
+
+def readers(folder: Path) -> list[Reader]:
+    """All of them. folder : where what they read beside their input is kept"""
+    text = layout.layout(0.3, cameras=2, width=640, height=480, cubes=2)
+    (folder / "rig.toml").write_text(text)
+    design = design_file.load(folder / "rig.toml")
+    rng = np.random.default_rng(1)
+    done = simulation.simulate(world.draw(design, rng, 1.0, (parse("backlash:strut2:gap=4e-5"),)), plan.build(design, "sobol:3"), rng)
+    simulation.write(done, folder, text, rng, 0.04)
+    for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
+        (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
+    held = recording.load(folder)
+    return [*_files(folder, design, held), *_json(folder, design, done), *_texts(design)]
+
+
+def _files(folder, design, held):
+    def seed(name):
+        return ((folder / name).read_bytes(),)
+
+    def frames(path):
+        rows = table.read(path, ("frame", "t", "camera", "image"))
+        return load_exposures(folder, design, rows, recording._origin(rows))
+
+    def commands(path):
+        rows = recording._command_rows(path, design)
+        return recording._commands(rows, design, held.exposures, recording._origin(rows))
+
+    poses = ",".join(["frame", "x", "y", "z", "rx", "ry", "rz", *COVARIANCE_COLUMNS])
+    row = ",".join(map(str, ["0", 0.1, 0.2, 0.3, 0.1, 0.0, 0.2, *np.eye(6)[TRIANGLE] * 1e-8]))
+    pictures = tuple(cv2.imencode(kind, np.zeros((8, 8), np.uint8))[1].tobytes() for kind in (".png", ".jpg", ".tiff", ".bmp", ".pgm"))
+    arm = (b'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [[0.1, 0.2, 0.0, 1.5], [0, 0, 0.3, 0]]\nlimits = [[-3, 3], [-3, 3]]\n'
+           b'[instrument]\nbase = "free"\ntool = "rig"\nposition_sigma = 1e-5\n')
+    return [Reader("rig.toml", (*seed("rig.toml"), arm), design_file.load), Reader("frames.csv", seed("frames.csv"), frames),
+            Reader("commands.csv", seed("commands.csv"), commands),
+            Reader("sensors.csv", seed("sensors.csv"), lambda path: recording._sensors(path, held.origin, held.exposures)),
+            Reader("corners.csv", seed("corners.csv"), lambda path: load_corners(path, design, held.exposures)),
+            Reader("poses.csv", (f"{poses}\n{row}\n".encode(),), load_poses), Reader("image", pictures, check_image)]
+
+
+def _json(folder, design, done):
+    m = design.mechanism
+    figures = Figures(9, (1e-3,) * 3, (1e-3,) * 3, (0.0,) * 6, (1e-3, 1e-3))
+    store.save(folder / "calibration.json", store.Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
+                                                               HeldOut(figures, figures, (1e-5, 1e-5), (2.0, 1.0, 3.0)), {"seed": 0}))
+    Online(m).save(folder / "state.json")
+    world.write_truth(folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0])
+    finding = {"effect": "backlash", "place": "strut 2", "parameters": {"gap": {"value": 4e-5, "unit": "m", "ci95": [3e-5, 5e-5]}},
+               "cannot_be_told_from": [{"effect": "creep", "place": "rig"}]}
+    diagnosis = {"findings": [finding], "unexplained": None, "fit": {"heldout_after": 1.0, "noise_floor": 0.9}}
+    (folder / "diagnoses").mkdir()
+
+    def seed(name):
+        return ((folder / name).read_bytes(),)
+
+    def judged(case):
+        return score.figures([case]), score.medians([case])
+
+    def record(path):
+        (folder / "diagnoses" / "0001.json").write_bytes(path.read_bytes())
+        with contextlib.redirect_stderr(io.StringIO()):
+            return blind._record(folder, 1)
+
+    return [Reader("calibration.json", seed("calibration.json"), store.load), Reader("state.json", seed("state.json"), Online.load),
+            Reader("truth.json", seed("truth.json"), lambda path: world.from_truth(path, design)),
+            Reader("sealed truth", seed("truth.json"), lambda path: judged(score.case(1, path, None))),
+            Reader("diagnosis.json", (json.dumps(diagnosis).encode(),), lambda path: judged(score.case(1, folder / "truth.json", path))),
+            Reader("record", (b'{"seconds": 1.5, "failed": null}\n', b'{"seconds": 1.5, "failed": "no"}\n'), record),
+            Reader("effect as JSON", tuple(json.dumps({"effect": e.name, "place": "rig", "parameters": {p.name: 0 for p in e.parameters}}).encode()
+                                           for e in ALL), lambda path: placed(from_dict(_loaded(path)), design))]
+
+
+def _loaded(path):
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise RigError("not JSON: the JSON reader's own business") from error
+
+
+def _texts(design):
+    def of(read):
+        return lambda path: read(path.read_bytes().decode("utf-8", "surrogateescape"))
+
+    effects = tuple(f"{e.name}:{place}:{','.join(f'{p.name}=' + '/'.join(['1e-4'] * (p.size or 3)) for p in e.parameters)}".encode()
+                    for e, place in zip(ALL, ("strut1", "cam0", "8", "rig", "P1", "clock", "cameras") * 9))
+    plans = (b"standard", b"sobol:9,grid:2,simplices:1,axes:2,ladder:1", b"payload:2,moving:3,zigzag:3,warmup:3,repeat:4", b"commands:x.csv")
+    return [Reader("effect", effects, of(lambda text: placed(parse(text), design))), Reader("plan", plans, of(lambda text: plan.build(design, text))),
+            Reader("place", (b"backlash strut 2", b"camera_bump camera cam0", b"marker_swap", b"cube_misplacement target P1"),
+                   of(lambda text: asked(text, design))),
+            Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(board.parse)),
+            Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100)))]
