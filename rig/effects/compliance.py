@@ -65,10 +65,7 @@ class Compliance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        m = context.motion
-        if m is not None and m.no_loads() and m.links().shape[2]:
-            return m.places
-        return super(Compliance, cls).sites(context)
+        return by_links(context) or super(Compliance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
@@ -90,6 +87,12 @@ class Compliance(Effect):
         out = np.zeros((*motion.lengths.shape, len(candidate.linear)))
         out[:, i] = -motion.links()[:, i][:, [column.index for column in candidate.linear]]
         return out
+
+
+def by_links(context: Context) -> tuple[str, ...]:
+    """The axes, where what they carry is not stated but their load is linear in the masses of the machine's own links; else none."""
+    motion = context.motion
+    return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
 
 
 def distinct(table: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from rig.effects.base import Candidate, Context, Effect, Motion, Parameter
-from rig.effects.compliance import distinct
+from rig.effects.compliance import by_links, distinct
 from rig.effects.covariate import Covariate
 from rig.errors import RigError
 
@@ -55,10 +55,7 @@ class JointClearance(Effect):
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
-        m = context.motion
-        if m is not None and m.no_loads() and m.links().shape[2]:
-            return m.places
-        return super(JointClearance, cls).sites(context)
+        return by_links(context) or super(JointClearance, cls).sites(context)
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
