@@ -1,21 +1,19 @@
-"""The secret geometry of a machine: drawn about what its owner states, written into a truth file and read back."""
+"""The secret geometry of a machine: drawn about what its owner states."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from rig.design import Arm, Design, Free, Hexapod, Planar2
-from rig.entries import LARGEST_RIG, Entries
+from rig.design import Arm, Design, Hexapod, Planar2
 from rig.errors import RigError
-from rig.pose import pose, vector
+from rig.machine_file import GEOMETRY, PLACES
+from rig.pose import pose
 
 JOINT = 3e-4  # m, standard deviation of a joint's coordinate from where the owner has it
 ZERO = 3e-4  # m, of a strut's zero
 ROW = np.array([1e-3, 3e-4, 3e-4, 1e-3, 0.0])  # rad, m, m, rad, rad: of an arm's theta, d, a, alpha, beta
 ASKEW = 1e-4  # rad, greatest of axes that are parallel by design
 AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
-GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",)}
-PLACES = ("base", "tool")  # of an arm, as poses
 
 
 def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm:
@@ -43,22 +41,3 @@ def _arm(stated: Design, rng: np.random.Generator, size: float) -> Arm:
         if instrument is not None and getattr(instrument, place) == "free":
             ends[k] = pose(far * rng.uniform(-1, 1, 3), rng.normal(size=3))
     return replace(m, joints=rows, base=ends[0], tool=ends[1])
-
-
-def written(mechanism: Hexapod | Planar2 | Arm) -> dict[str, list]:
-    """{name: numbers} of a mechanism for a truth file."""
-    tree = {name: getattr(mechanism, name).tolist() for name in GEOMETRY[mechanism.kind]}
-    return tree | ({name: vector(getattr(mechanism, name)).tolist() for name in PLACES} if mechanism.kind == "arm" else {})
-
-
-def read(stated: Hexapod | Planar2 | Arm | Free, table: Entries) -> Hexapod | Planar2 | Arm | Free:
-    """The mechanism of such a dict in a file, as far as it says; the rest as stated. Raises FileError for what is none."""
-    found = {}
-    for name in GEOMETRY.get(stated.kind, ()):
-        if name in table.tree:
-            shape = (len(stated.joints), 5) if name == "joints" else getattr(stated, name).shape
-            found[name] = table.array(name, shape, length_limit=LARGEST_RIG)
-    for name in PLACES if stated.kind == "arm" else ():
-        if name in table.tree:
-            found[name] = pose(*np.split(table.array(name, (6,), length_limit=LARGEST_RIG), 2))
-    return replace(stated, **found)

@@ -129,8 +129,9 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
                  [f"{f},{shown[t]},{name}," + (f"images/{name}/{f:05d}.png" if images else "") for f, t in enumerate(plan.t)
                   for name in ([c.name for c in cameras] or [""])])
     log = simulation.log
-    write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
-        f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
+    if log.channels:
+        write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
+            f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
         write_measured(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)

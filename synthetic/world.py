@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig import json_file, mechanisms
+from rig import machine_file, mechanisms
 from rig.design import Arm, Camera, Design, Hexapod, Planar2
 from rig.effects.base import Effect
-from rig.effects.parse import from_dict, placed, to_dict
-from rig.entries import LARGEST_RIG, Entries
-from rig.errors import FileError, RigError
-from rig.pose import exp, pose, vector
-from rig.recording import Sensors
 from rig.files import write_text
+from rig.pose import exp
+from rig.recording import Sensors
 from synthetic import machines
 
 MOUNT = (3e-3, 5e-3)  # m, rad, of a camera's stated pose
@@ -79,48 +76,11 @@ def weather(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple
 
 
 def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **more: Any) -> None:
-    """Write the truth of a recording as JSON: effects with parameters, joints, zeros, cameras, poses as row-major 4 x 4, and more."""
-    tree = {"effects": [to_dict(effect) for effect in world.effects], **machines.written(world.true.mechanism),
-            "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(),
-            "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
-                        for c in world.true.cameras], **more}
-    if world.true.insitu is not None:
-        tree["insitu"] = {name: getattr(world.true.insitu, name).tolist() for name in ("base_joints", "platform_joints", "zeros")}
-    write_text(path, json.dumps(tree) + "\n")
+    """Write the truth of a recording as JSON: the machine as it is, its effects, poses as row-major 4 x 4, and more."""
+    tree = machine_file.tree(world.true, world.effects)
+    write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
 def from_truth(path: Path, stated: Design) -> World:
     """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
-    tree, limbs = json_file.load(path, "truth of this rig"), stated.insitu
-    mechanism = machines.read(stated.mechanism, tree)
-    known = {entry.text("name"): entry for entry in tree.tables("cameras")}
-    missing = [c.name for c in stated.cameras if c.name not in known]
-    if missing:
-        tree.fail(f"is no truth of this rig: cameras lacks {missing[0]!r}", "cameras")
-    cameras = tuple(_seen_as(c, known[c.name]) for c in stated.cameras)
-    if limbs is not None and "insitu" in tree.tree:
-        table = tree.table("insitu")
-        limbs = replace(limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG)
-                                  for name in ("base_joints", "platform_joints", "zeros")})
-    return World(stated, replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), effects_in(tree, "effects", stated))
-
-
-def effects_in(tree: Entries, key: str, design: Design) -> tuple[Effect, ...]:
-    """Effects that a JSON table lists, as `to_dict` wrote them. Raises FileError for one that there is not, or not on this rig."""
-    found = []
-    for number, entry in enumerate(tree.tables(key), 1):
-        try:
-            found.append(placed(from_dict(entry.tree), design))
-        except FileError:
-            raise
-        except RigError as error:
-            tree.fail(f"{key}.{number}: {error}", key)
-    return tuple(found)
-
-
-def _seen_as(camera: Camera, table: Entries) -> Camera:
-    """A Camera as a truth file has it."""
-    matrix, terms, vector_ = table.array("matrix", (3, 3)), table.array("distortion", (len(camera.distortion),)), table.array("pose", (6,))
-    if (np.diag(matrix)[:2] <= 0).any() or (matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1]).any():
-        table.fail(f"{table.name('matrix')} is no camera matrix: {matrix.tolist()}", "matrix")
-    return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))
+    return World(stated, *machine_file.load(path, stated))

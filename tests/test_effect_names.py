@@ -9,7 +9,7 @@ from rig.effects import BY_NAME
 from tests.conftest import ROOT
 
 NAME = re.compile(rf"(?<![\w-])({'|'.join(BY_NAME)})(?![\w-])")
-ROOMS = ("rig", "vision", "synthetic")
+ROOMS = ("rig", "vision", "calib", "synthetic")
 
 
 def named(path):

@@ -113,13 +113,6 @@ def _again(arguments: Namespace) -> None:
 
     import numpy as np
 
-    if (arguments.source / "arm.json").exists():
-        from synthetic import arm_again
-
-        count, effects = arm_again.write(arguments.source, arguments.outputs.folder(arguments.out), np.random.default_rng(arguments.seed))
-        print(f"{count} poses, effects: {', '.join(effects) or 'none was found'}; written: {arguments.out / 'with'} and {arguments.out / 'without'}")
-        return
-
     from synthetic import simulation
     from synthetic.again import again
     from synthetic.pictures import Images

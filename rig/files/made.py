@@ -9,7 +9,7 @@ from rig.errors import FileError
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
-RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "machine.json", "arm.json", "joints.csv",
+RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "machine.json",
             "diagnosis.json", "images")  # what a folder is read from, so that what is left of one mixes with another
 
 

@@ -117,9 +117,9 @@ def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
         assert cli.main(["diagnose", str(tmp_path / "both" / kind), "--out", str(tmp_path / kind), *ask]) == 0
         found = json.loads((tmp_path / kind / "diagnosis.json").read_text())["findings"]
         assert [f["place"] for f in found if f["effect"] == "scale_error"] == ["joint 4"] * count
-    (tmp_path / "out" / "arm.json").write_text("{}")
+    (tmp_path / "out" / "machine.json").write_text("{}")
     assert cli.main(["simulate", "--from", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 1
-    assert "arm.json" in capsys.readouterr().err
+    assert "machine.json" in capsys.readouterr().err
 
 
 @pytest.mark.slow

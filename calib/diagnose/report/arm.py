@@ -1,6 +1,7 @@
 """An arm's diagnosis as a Report, with intervals that allow for how residuals scatter, and what it takes to draw the recording anew."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,9 @@ from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.fit import Term
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
 from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, write
+from rig import machine_file
 from rig.files import write_text
-from rig.pose import vector
 from rig.recording import Recording
-from rig.writing import write_table
 
 NEAR = 0.02  # rad; nearer angles than that share a joint's profile
 Z95 = 1.959964
@@ -136,23 +136,10 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
 
 
 def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:
-    """Write diagnosis.json into a folder, and what it takes to draw the recording anew: arm.json (the arm as found),
-    joints.csv (per frame, what was commanded and what the findings do to it) and the recording's own files."""
+    """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
+    commands, frames and sensors."""
     write(folder, report(d))
-    count = d.arms.q.shape[1]
-    more, sway = np.zeros(d.arms.q.shape), np.zeros((len(d.arms), 6))
-    for number, one in enumerate(d.fit.terms):
-        moved = one.weights @ d.fit.theta[d.fit.slices[number]]
-        if one.candidate.joint is None:
-            sway[:, : moved.shape[1]] += moved
-        else:
-            more[:, one.candidate.joint] += moved[:, 0]
-    constant = more.mean(axis=0)  # what is constant is a joint's zero
-    tree = {"base": vector(d.arm.base).tolist(), "tool": vector(d.arm.tool).tolist(), "rotations": d.arms.left.shape[1] == 6,
-            "effects": [f"{t.candidate.name} at {t.candidate.place}" for t in d.fit.terms],
-            "joints": (d.arm.rows + constant[:, None] * [1, 0, 0, 0, 0]).tolist()}
-    names = ("frame", *(f"q{j + 1}" for j in range(count)), *(f"e{j + 1}" for j in range(count)), *(f"s{i + 1}" for i in range(6)))
-    write_text(folder / "arm.json", json.dumps(tree) + "\n")
-    write_table(folder / "joints.csv", names, [",".join([str(frame), *(f"{x:.12f}" for x in (*q, *e, *s))])
-                                               for frame, q, e, s in zip(d.arms.frame, d.arms.q, more - constant, sway)])
+    found = replace(recording.design, mechanism=d.arm)
+    effects = [one.candidate.effect(one.node, d.fit.theta[d.fit.slices[number]]) for number, one in enumerate(d.fit.terms)]
+    write_text(folder / "machine.json", json.dumps(machine_file.tree(found, effects)) + "\n")
     copy_recording(folder, recording)

@@ -13,13 +13,12 @@ from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.report.schema import (UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Unexplained, Value,
                                           write)
+from rig import machine_file
 from rig.effects import BY_NAME
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
-from rig.effects.parse import to_dict as effect_dict
 from rig.origin import Origin
-from rig.pose import vector
 from rig.recording import Recording
 from rig.files import write_text
 from vision.places import Move
@@ -100,17 +99,13 @@ def moment(t: np.ndarray, value: float, origin: Origin) -> Value:
 
 
 def save(folder: Path, d: PlatformDiagnosis, recording: Recording) -> None:
-    """Write diagnosis.json into a folder and, where a machine with cameras was commanded, what it takes to simulate it as found:
+    """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
     machine.json and the recording's own rig.toml, commands, frames and sensors."""
     write(folder, report(d))
     k = d.selection.fit.refined.point
-    if not k.axes or k.seen is None or k.design.mechanism.kind != "hexapod":
+    if not k.axes:
         return
-    m = k.design.mechanism
-    tree = {"effects": [effect_dict(effect) for effect in (*d.swapped, *d.effects)], "base_joints": m.base_joints.tolist(),
-            "platform_joints": m.platform_joints.tolist(), "strut_zeros": m.strut_zeros.tolist(),
-            "cameras": [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
-                        for c in k.design.cameras]}
+    tree = machine_file.tree(k.design, (*d.swapped, *d.effects))
     write_text(folder / "machine.json", json.dumps(tree) + "\n")
     copy_recording(folder, recording)
 
