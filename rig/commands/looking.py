@@ -75,6 +75,7 @@ class Looking:
                  stop_on: frozenset[str], halt: Callable[[], object]) -> None:
         self.design, self._clock, self._live, self._learner, self._halt = design, clock, live, learner, halt
         self._stop_on, self._reason = stop_on, ""
+        self._failed: Exception | None = None
         self.displays: list[Display] = []
         self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
@@ -146,6 +147,8 @@ class Looking:
             self._live.close()
         for display in self.displays:
             display.close()
+        if self._failed is not None:
+            raise self._failed
 
     def _left(self, step: int) -> float:
         """s until the plan is done: the ways at full speed, and what the steps so far took beside theirs."""
@@ -157,9 +160,13 @@ class Looking:
     def _work(self) -> None:
         while (shot := self._queue.get()) is not None:
             try:
-                self._measure(shot)
+                if self._failed is None:
+                    self._measure(shot)
             except RigError as error:
                 self.warn(Alarm("unseen", f"frame {shot.number} could not be measured: {error}"))
+            except Exception as error:  # ours, and no reason to lose the run: it is stopped, and `finish` raises it
+                self._failed = error
+                self.ask_stop(f"measuring frame {shot.number} failed: {error!r}")
 
     def _measure(self, shot: Shot) -> None:
         sight = self._live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))

@@ -1,0 +1,118 @@
+"""Who looks on at a run: alarms are said, noted and can stop it; displays show every frame; a terminal's text fits what happened."""
+
+import io
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rig.cameras.source import Frame
+from rig.clock import SimulatedClock
+from rig.commands.looking import Looking
+from rig.commands.page import Page
+from rig.commands.terminal import Block, Lines, block
+from rig.journal import Departure, Ended, Exposed
+from rig.operate import Shot
+from rig.plan import build
+from rig.steps import steps
+from tests.vision.test_watch import sight
+
+
+class Measured:
+    """In place of vision.live.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
+
+    noise = 0.02
+
+    def __init__(self, design):
+        self.design, self.rng = design, np.random.default_rng(3)
+        self.ids = {body: [n for target in design.targets if target.body == body for n in target.ids] for body in ("base", "platform")}
+
+    def take(self, frame, images, expected):
+        found = sight(self.design, self.ids, frame, self.rng, shift=(1.0 * (frame >= 3), 0.0))
+        n = len(found.residuals)
+        found.observations.uv = np.zeros((n, 2))
+        found.observations.marker = np.unique(found.observations.marker, return_inverse=True)[1]
+        for detection in found.detections.values():
+            detection.blur, detection.corners = np.full(10, 0.7), np.zeros((10, 4, 2))
+        return found
+
+    def adjust(self):
+        return None
+
+    def close(self):
+        pass
+
+
+class Shown:
+    def __init__(self):
+        self.views, self.closed = [], False
+
+    def show(self, view):
+        self.views.append(view)
+
+    def close(self):
+        self.closed = True
+
+
+def looked(design, stop_on, displays=()):
+    """A Looking that has seen six frames, its halts and its notes."""
+    clock, halts, notes = SimulatedClock(), [], []
+    planned = steps(build(design, "sobol:6"))
+    looking = Looking(design, planned, planned[0].goal, clock, Measured(design), None, stop_on, lambda: halts.append(threading.current_thread()))
+    looking.displays += displays
+    looking.note = notes.append
+    for frame in range(6):
+        clock.sleep(2.0)
+        goal = planned[frame + 1].goal
+        looking.happened(Departure(clock.now(), frame + 1, tuple(goal), tuple(goal)))
+        looking.happened(Exposed(clock.now(), frame + 1, frame, (0.0,), ("cam0",), ("a.png",)))
+        looking.seen(Shot(frame, frame + 1, clock.now(), goal, {c.name: Frame(np.zeros((48, 64), np.uint8), clock.now(), 1e-3) for c in design.cameras}))
+    looking.finish()
+    return looking, halts, notes
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design, stops):
+    shown = Shown()
+    looking, halts, notes = looked(design, frozenset(["camera"] if stops else ["jump"]), [shown])
+    assert [alarm.kind for alarm in looking.view.alarms] == ["camera"] and "camera 'cam1' has moved" in notes[0] and len(notes) == 1
+    assert bool(looking.stop()) == stops and len(halts) == stops
+    assert shown.closed and {view.seen.sight.frame for view in shown.views if view.seen} == set(range(6))
+    assert shown.views[-1].frame == 6 and 0 < max(view.left for view in shown.views if view.left == view.left) < 60
+
+
+def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):
+    def fail(self, frame, images, expected):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Measured, "take", fail)
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        looked(design, frozenset())
+
+
+def test_a_terminal_says_what_happened(design):
+    out, screen = io.StringIO(), io.StringIO()
+    looking, _, _ = looked(design, frozenset(), [Lines(out), Block(screen)])
+    looking.happened(Ended(20.0, "stopped from the page"))
+    text = out.getvalue()
+    assert text.count("moving to step") == 6 and text.count("! camera") == 1 and "[6/6] ended: stopped from the page" in text
+    assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
+    lines = block(looking.view)
+    assert lines[0].startswith("frame 6 of 6, step 7 of 7") and sum(line.startswith("strut") for line in lines) == 6 and "! camera" in lines[-1]
+    assert screen.getvalue().count("\x1b[J") > 6 and f"\x1b[{len(lines)}A" in screen.getvalue()
+
+
+def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
+    halts = []
+    planned = steps(build(design, "sobol:6"))
+    looking = Looking(design, planned, planned[0].goal, SimulatedClock(), Measured(design), None, frozenset(), lambda: halts.append(1))
+    with Page(looking, 0) as page:
+        looking.displays.append(page)
+        looking.seen(Shot(0, 1, 0.0, planned[1].goal, {c.name: Frame(np.full((48, 64), 9, np.uint8), 0.0, 1e-3) for c in design.cameras}))
+        looking.finish()
+        _, event, _ = page._server.listen(-1, 0)
+        assert b'"frame": 0' in event and event.count(b'"read"') == len(design.cameras) and b"NaN" not in event
+        assert page._server.image("cam1").startswith(b"\xff\xd8")
+        page._server.pressed()
+    assert looking.stop() == "stopped from the page" and halts == [1]
