@@ -1,0 +1,64 @@
+"""What the driver adds to a command's way over a pseudo-terminal, to an emulator in another process and back."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from rig import design_file, layout
+from rig.clock import SystemClock
+from rig.driver import Driver
+from rig.emulator.build import home_lengths
+from rig.port import SerialPort
+from rig.protocols.base import Segment
+
+COUNT = 300
+
+
+def rows():
+    """Yield (figure, reached, wanted)."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        text = layout.layout(0.3)
+        path.write_text(text + "\n[controller]\nprotocol = \"grblhal\"\nport = \"set below\"\nmax_speed = 0.01\n")
+        zero = home_lengths(design_file.load(path).mechanism).tolist()
+        path.write_text(path.read_text() + f"zero = {zero}\n")
+        emulator = subprocess.Popen([sys.executable, "-c", "from rig.cli import main; main()", "emulate", str(path), "--speed", "1000"],
+                                    stdout=subprocess.PIPE, text=True)
+        try:
+            port = emulator.stdout.readline().split()[1]
+            path.write_text(path.read_text().replace("set below", port))
+            yield from _timed(design_file.load(path), port)
+        finally:
+            emulator.terminate()
+            emulator.wait()
+
+
+def _timed(design, port):
+    clock = SystemClock()
+    with Driver(design, clock) as driver:
+        home = driver.home().lengths
+        segment = Segment(np.zeros(6), np.full(6, 1e-6), 1e-4, np.full(6, 0.01), None)
+        bare = SerialPort(port, 115200, clock)
+        line = b"G53G1X0.0010Y0.0010Z0.0010A0.0010B0.0010C0.0010F1469.7\n"
+
+        def told():
+            bare.write(line)
+            while not bare.read(clock.now() + 1).endswith(b"ok\r\n"):
+                pass
+
+        plain, ours = np.transpose([(_time(told), _time(lambda: driver.link.run(driver._protocol.move(segment)))) for _ in range(COUNT)])
+        bare.close()
+        whole = [_time(lambda k=k: driver.move(home + (k % 2) * 1e-6)) for k in range(COUNT // 3)]
+    yield "a move command's way there and back beyond the emulator's own, median", f"{1e3 * np.median(ours - plain):.3f} ms", "<= 1 ms"
+    yield "the emulator's and the pseudo-terminal's own", f"{1e3 * np.median(plain):.3f} ms", ""
+    yield "a whole move of 1 um, checked before and read back after, median", f"{1e3 * np.median(whole):.2f} ms", ""
+
+
+def _time(what):
+    start = time.perf_counter()
+    what()
+    return time.perf_counter() - start
