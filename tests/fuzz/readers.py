@@ -78,7 +78,7 @@ def _json(folder, design, done):
     m = design.mechanism
     figures = Figures(9, (1e-3,) * 3, (1e-3,) * 3, (0.0,) * 6, (1e-3, 1e-3))
     store.save(folder / "calibration.json", store.Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
-                                                               HeldOut(figures, figures, (1e-5, 1e-5), (2.0, 1.0, 3.0)), {"seed": 0}))
+                                                               HeldOut(figures, figures, (1e-5, 1e-5), (2.0, 1.0, 3.0), 9), {"seed": 0}))
     Online(m).save(folder / "state.json")
     world.write_truth(folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0])
     finding = {"effect": "backlash", "place": "strut 2", "parameters": {"gap": {"value": 4e-5, "unit": "m", "ci95": [3e-5, 5e-5]}},
