@@ -137,6 +137,8 @@ class Operator:
     def _do(self, state: Progress) -> None:
         """One step from where it stands: the move unless it is done, the frames that are missing."""
         step = self.planned[state.step]
+        if step.frames and state.frames >= step.frames:
+            return  # wherever the struts stand by now
         if not state.arrived:
             self._wanted()
             self._move(state.step, state.position, step.goal)

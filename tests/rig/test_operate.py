@@ -231,6 +231,15 @@ def test_what_stands_elsewhere_is_said_and_gone_back_to(rig, tmp_path):
     recording.load(tmp_path / "rec")
 
 
+def test_what_is_done_is_not_gone_back_to(rig, tmp_path):
+    room = Room(rig, tmp_path / "rec").process()
+    visits = len(room.struts.visits)
+    room.struts.at += 2e-3
+    room.process()
+    assert len(room.struts.visits) == visits
+    recording.load(tmp_path / "rec")
+
+
 def test_a_fault_stops_the_struts_and_is_written_down(rig, tmp_path):
     room = Room(rig, tmp_path / "rec")
     whole = room.struts.move
