@@ -121,7 +121,8 @@ def picture(simulation, f, i, images, seed):
         check_drawable(simulation.world.effects)
         _start(simulation, None, images, seed)
         _prepare()
-    _state.update(simulation=simulation, images=images, seed=seed, exposures=_exposures())
+    _state.update(simulation=simulation, images=images, seed=seed)
+    _state["exposures"] = _exposures()  # of this simulation, so it has to stand there
     return _exposed(f, i, images.sensor)
 
 

@@ -83,6 +83,14 @@ def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     assert 15 < read["ambient_temperature_C"] < 25
 
 
+def test_every_picture_is_of_its_own_moment(secret, told, opengl):
+    small = tuple(replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras)
+    shown = eyes.Eyes(replace(secret, true=replace(secret.true, cameras=small)), Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
+    home, away, again, back = (shown.image("cam0", t, 0.01).astype(int) for t in (100.5, 103.0, 103.0, 100.5))
+    assert np.abs(home - away).max() > 50
+    assert np.abs(away - again).max() == 0 and np.abs(home - back).max() == 0
+
+
 def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, opengl):
     small = tuple(replace(c, width=160, height=128, matrix=c.matrix * [[1 / 8], [1 / 8], [1]]) for c in secret.true.cameras)
     secret = replace(secret, true=replace(secret.true, cameras=small))
