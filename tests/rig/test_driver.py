@@ -307,6 +307,6 @@ def test_many_moves_with_every_fault_among_them(driven_design, protocol):
 
 @pytest.mark.slow
 def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol):
-    verdicts = judged(driven_design, protocol, ["all:0.05"], 10_000, seed=4)
+    verdicts = judged(driven_design, protocol, ["all:0.05"], 10_000, seed=4, max_speed=np.full(6, 0.1), max_acceleration=np.full(6, 5.0))
     assert len(verdicts.struck) >= 15 and verdicts.done > 9_000
     assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (0, 0, 0, 0, 0), verdicts
