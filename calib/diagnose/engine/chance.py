@@ -42,13 +42,14 @@ def davies(deltas: np.ndarray, rank: float, frames: int) -> float:
 
 def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray, coefficients: np.ndarray, cluster: int = 1) -> Dispersion:
     """Dispersion of a candidate of weights (F, a, q) and coefficients (q,); cluster : frames in a row that are taken together."""
+    F, a, q = weights.shape
     turned = np.swapaxes(weights, 1, 2)
-    pushed = products.gamma * weights if weights.shape[1] == 1 else products.gamma @ weights
-    kappa = turned @ products.kappa
-    K = kappa.sum(axis=0)
+    pushed = products.gamma * weights if a == 1 else products.gamma @ weights
+    K = weights.reshape(F * a, q).T @ products.kappa.reshape(F * a, -1)
     reach = K.T @ coefficients
-    own = (turned @ (products.beta[..., None] - (pushed @ coefficients)[..., None]))[..., 0] + kappa @ reach
-    contributions = own - model.leakage(reach, K) + (coefficients @ kappa) @ K.T
+    own = products.beta - pushed @ coefficients + products.kappa @ reach  # (F, a), products with what the fit leaves
+    moved = np.einsum("fa,fap->fp", weights @ coefficients, products.kappa)
+    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, K) + moved @ K.T
     before = np.einsum("faq,faq->q", weights, pushed)
     bread = before - (K**2).sum(axis=1)
     seen = bread > SWALLOWED * before
