@@ -131,11 +131,11 @@ class GCS:
 
     def _moving(self) -> Dialogue[int]:
         lines = yield from self._ask(b"\x05", lambda lines: re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", lines[-1].strip()) is not None)
-        return int(lines[-1], 16)
+        return int(lines[-1].strip(), 16)
 
     def _error(self) -> Dialogue[int]:
         lines = yield from self._ask(b"ERR?\n", _is_error)
-        return int(lines[-1])
+        return int(lines[-1].strip())
 
     def _values(self, question: str) -> Dialogue[np.ndarray]:
         """(n,) what a question about axes is answered with. Raises NoAnswer where axes are missing in the answer."""
@@ -155,7 +155,7 @@ class GCS:
                 return lines
             yield from self._in_step()
         error = yield Exchange(b"ERR?\n", _is_error)
-        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1]))}" if error else ""))
+        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error else ""))
 
     def _command(self, line: str) -> Dialogue[Verdict]:
         """A command and the error that it leaves, sent together and once."""
@@ -163,7 +163,7 @@ class GCS:
         if lines is None:
             yield from self._in_step()
             return Verdict(None, f"no answer to ERR? after {line}")
-        error = int(lines[-1])
+        error = int(lines[-1].strip())
         return Verdict(error == 0, "" if error == 0 else _reason(error))
 
     def _in_step(self) -> Dialogue[None]:

@@ -118,3 +118,7 @@ def test_referencing_that_one_axis_fails_is_said():
 
 def test_stop_waits_for_rest_and_takes_its_error_away():
     assert talk([*hello(), (b"HLT\n", b""), (b"\x05", b"3F\n"), (b"\x05", b"0\n"), (b"ERR?\n", b"10\n")], lambda p: p.stop()).accepted
+
+
+def test_blanks_that_only_unicode_knows_are_no_digits():
+    assert talk([*hello()[:2], (b"ERR?\n", b"\x1e0\n"), *hello()[3:]]).startswith("(c)2015")
