@@ -109,6 +109,19 @@ def test_every_diagnostic_plot_can_be_drawn(text, diagnosed):
         assert np.ptp(drawn[2].lines[0].get_xdata()) > 0
 
 
+def test_what_is_only_significant_comes_after_what_matters(diagnosed, tmp_path):
+    found, diagnosis = diagnosed
+    told = report(diagnosis)
+    strong = told.findings[0]
+    slight = replace(strong, effect="hysteresis", place="strut 5", evidence=replace(strong.evidence, heldout_before=1.001e-5, heldout_after=1e-5))
+    told = replace(told, findings=(slight, strong))
+    assert [f.matters for f in told.findings] == [False, True] and told.mattering == [strong]
+    diagnosis_page(tmp_path / "page.html", told, PlatformView(found, diagnosis))
+    text = text_of(tmp_path / "page.html")[1]
+    assert text.index("1. backlash at strut 3") < text.index("of little account") < text.index("hysteresis at strut 5,")
+    assert "1 more is significant" in text
+
+
 def test_marks_are_on_the_parts_that_are_pointed_at(diagnosed):
     point = diagnosed[1].selection.fit.refined.point
     places = ["strut 3", "camera cam1", "marker 4", "target P2", "clock"]

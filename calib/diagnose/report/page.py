@@ -63,7 +63,8 @@ def _finding(finding: FindingEntry, view: View) -> list[Part]:
 
 
 def _slight(finding: FindingEntry) -> list[Part]:
-    return [f"<p>{words.how_sure(finding)}</p>", *_alternatives(finding)]
+    action = [f"<p>What to do: {html.escape(finding.action)}</p>"] if finding.action else []
+    return [f"<p>{words.how_sure(finding)}</p>", *action, *_alternatives(finding)]
 
 
 def _alternatives(finding: FindingEntry) -> list[Part]:

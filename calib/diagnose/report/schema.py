@@ -8,7 +8,7 @@ from typing import Any
 from rig.files import write_text
 
 SCHEMA = "diagnosis/1"
-NOTHING = 0.1  # of the misfit held out, added in squares, that a finding must take away to be more than significant
+NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
 UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
 
 

@@ -56,7 +56,8 @@ def verdict(report: Report) -> str:
     main = report.mattering or report.named
     said = [f"{title(f)}{size(f)}" for f in main]
     fewer = len(report.named) - len(main)
-    said += [f"{fewer} more that {'is' if fewer == 1 else 'are'} significant and change what was held out by next to nothing"] if fewer else []
+    slight = "1 more is significant and changes" if fewer == 1 else f"{fewer} more are significant and change"
+    said += [f"{slight} what was held out by next to nothing"] if fewer else []
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
     text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
