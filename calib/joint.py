@@ -16,7 +16,7 @@ from rig.errors import RigError
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import exp, skew
 from vision import lens
-from vision.adjust import lens_prior
+from vision.bundle.adjust import lens_prior
 from vision.predict import State, base_points, by_camera, in_camera
 
 

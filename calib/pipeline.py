@@ -6,8 +6,8 @@ import numpy as np
 
 from calib.samples import Samples, samples
 from rig.errors import NotEnoughData, RigError
-from vision.collect import Collected
 from vision.measure import Measurement
+from vision.reading.collect import Collected
 from vision.recorded import measure_recording
 
 UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any

@@ -12,8 +12,8 @@ from calib.claim import Claim
 from calib.observability import combinations
 from calib.verdict import verdict
 from rig import mechanisms
-from rig.pose import vector
 from rig.files import write_text
+from rig.pose import vector
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
@@ -47,7 +47,7 @@ def measurement_page(path, recording, measurement, collected, places=None, state
     """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
 
     places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording determines
-    suspects : of vision.identity, markers that are not what rig.toml says
+    suspects : of vision.pose.identity, markers that are not what rig.toml says
     """
     m = measurement
     total = len(recording.exposures.times()[0])

@@ -16,11 +16,11 @@ from rig.journal import Departure, Ended, Exposed
 from rig.operate import Shot
 from rig.plan import build
 from rig.steps import steps
-from tests.vision.test_watch import sight
+from tests.vision.reading.test_watch import sight
 
 
 class Measured:
-    """In place of vision.live.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
+    """In place of vision.reading.live.Live: sights as they are made here; from frame 3 on cam1 has moved by a pixel."""
 
     noise = 0.02
 

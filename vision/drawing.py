@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from rig.errors import FileError, RigError
+from rig.exposures import read_image
 from rig.files import write_bytes
 from rig.recording import Exposures
 from vision import lens
-from rig.exposures import read_image
-from vision.detect import grey
+from vision.corners.detect import grey
 from vision.recorded import measure_recording
 
 FOUND, ASIDE, ARROW = (80, 220, 80), (60, 60, 230), (0, 170, 255)  # BGR

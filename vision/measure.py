@@ -8,12 +8,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.recording import Corners
-from vision.adjust import Adjustment, adjust
-from vision.frames import Views, locate_frames, resect
-from vision.locate import FINEST
+from vision.bundle.adjust import Adjustment, adjust
+from vision.bundle.robust import adjust_robustly, standing_error
 from vision.observations import Observations, only
+from vision.pose.frames import Views, locate_frames, resect
+from vision.pose.locate import FINEST
 from vision.predict import State, predict
-from vision.robust import adjust_robustly, standing_error
 
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
 

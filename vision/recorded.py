@@ -3,14 +3,13 @@
 import numpy as np
 
 from rig.errors import NotEnoughData
-from vision.adjust import NoOptimum
-from vision.collect import collect, image_reader, look_again
-from vision.identity import LOOKED_AT, why_none
+from vision.bundle.adjust import NoOptimum
+from vision.bundle.places import HALVED, doubtful, moves
 from vision.measure import measure
 from vision.observations import from_corners
-from vision.places import HALVED, doubtful, moves
+from vision.pose.identity import LOOKED_AT, why_none
+from vision.reading.collect import collect, image_reader, look_again
 from vision.targets import marker_map
-
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 PLACES = ("auto", "stated", "free")
@@ -19,7 +18,7 @@ PLACES = ("auto", "stated", "free")
 def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None, places="stated", look=None):
     """(Measurement, Collected or None) of a recording.
 
-    free : what is adjusted, see vision.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
+    free : what is adjusted, see vision.bundle.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
     "free", or "auto": where the stated ones contradict what is seen in more than REFUSED of the frames, or most of the corners' scatter
     comes from them
     detect_anew : read the images even where corners.csv is there

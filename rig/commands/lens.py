@@ -24,7 +24,7 @@ def run(arguments):
     import sys
     from dataclasses import replace
 
-    from vision.board import parse
+    from vision.lenses.board import parse
 
     board = replace(parse(arguments.board), legacy=arguments.legacy)
     paths = _paths(arguments.images)
@@ -35,7 +35,7 @@ def run(arguments):
     from calib.lens_page import lens_page
     from rig.design_file import camera_block
     from rig.files import write_text
-    from vision.photographs import calibrate_photographs
+    from vision.lenses.photographs import calibrate_photographs
 
     found = calibrate_photographs(paths, board, arguments.name, Progress())
     block = camera_block(found.fit.camera)

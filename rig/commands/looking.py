@@ -18,8 +18,8 @@ from rig.errors import NotConverged, RigError
 from rig.journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
 from rig.operate import Shot
 from rig.steps import Step, distances
-from vision.live import Live, Sight
-from vision.watch import Alarm, Watch
+from vision.reading.live import Live, Sight
+from vision.reading.watch import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
 LATEST = 30  # alarms that are kept for displays

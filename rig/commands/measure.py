@@ -36,11 +36,11 @@ def run(arguments):
 
     from calib.certificate import uncertainty
     from calib.report import measurement_page
-    from vision.collect import image_reader
-    from vision.crossvalidate import crossvalidate
-    from vision.determined import determined
-    from vision.identity import suspects
-    from vision.places import listed, places
+    from vision.bundle.crossvalidate import crossvalidate
+    from vision.bundle.determined import determined
+    from vision.bundle.places import listed, places
+    from vision.pose.identity import suspects
+    from vision.reading.collect import image_reader
     from vision.recorded import measure_recording
     from vision.targets import marker_map
 

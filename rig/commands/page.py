@@ -8,7 +8,7 @@ from rig.commands.looking import Looking, Seen, View
 from rig.design import Camera, Design
 from rig.page import PageServer
 from rig.pose import transform_points, vector
-from vision.detect import grey
+from vision.corners.detect import grey
 from vision.targets import marker_map
 
 WIDTH = 960  # px, of images on the page at most

@@ -9,7 +9,7 @@ from rig.commands.looking import Display, Looking
 from rig.commands.page import Page
 from rig.commands.terminal import terminal
 from rig.errors import RigError
-from vision.live import Live
+from vision.reading.live import Live
 
 
 def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looking:

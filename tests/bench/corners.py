@@ -13,13 +13,13 @@ from scipy.spatial.transform import RigidTransform
 
 from rig import design_file, layout, recording
 from rig.design import Marker, Sensor, Target
+from rig.exposures import read_image
 from rig.pose import difference, pose
 from tests.bench import bound
 from tests.cli import RIG
 from tests.conftest import SHARED
 from tests.vision.scenes import nees, scene
-from rig.exposures import read_image
-from vision.detect import detect
+from vision.corners.detect import detect
 from vision.measure import measure
 from vision.targets import marker_map
 

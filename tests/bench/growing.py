@@ -26,8 +26,8 @@ from rig.plan import build
 from rig.steps import steps
 from synthetic import simulation, world
 from synthetic.pictures import Images
-from vision.collect import read_image
-from vision.live import TAUGHT, Live
+from vision.reading.collect import read_image
+from vision.reading.live import TAUGHT, Live
 
 FRAMES = 20
 TIME = 1.0  # s that moving and settling take here, so that frames do not wait for each other

@@ -17,17 +17,17 @@ from rig.design import Camera
 from rig.pose import exp
 from tests.conftest import SHARED
 from tests.vision.scenes import scene
-from vision import board as boards
-from vision.adjust import adjust
-from vision.calibration import calibrate, hold_out, observations_of
-from vision.crossvalidate import crossvalidate
-from vision.detect import detect
+from vision.bundle.adjust import adjust
+from vision.bundle.crossvalidate import crossvalidate
+from vision.bundle.places import places
+from vision.bundle.unknowns import move, offset, unknowns
+from vision.corners.detect import detect
+from vision.lenses import board as boards
+from vision.lenses.calibration import calibrate, hold_out, observations_of
 from vision.measure import measure
 from vision.observations import from_corners, whitener
-from vision.places import places
 from vision.predict import State, predict
 from vision.targets import MarkerMap, marker_map
-from vision.unknowns import move, offset, unknowns
 
 BOARD = "charuco:5x7:0.036195:0.018256:DICT_6X6_250"
 FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adjust

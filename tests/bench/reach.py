@@ -3,7 +3,7 @@
 Corners of the same pictures are fitted with every candidate, the spread learnt from the pictures themselves as `rig measure` does.
 Each kind of picture (exact ones and the renderer's, blurs, defocus, a halo, sharpening) gives the RMS of a candidate's corner
 errors (without the largest, see SOUND) over the least any candidate has there; a candidate's score is the geometric mean over
-the kinds. vision/edges.py's REACH and vision/spread.py's KNOTS are the smallest reach, then the fewest knots, whose score is
+the kinds. vision/corners/edges.py's REACH and vision/corners/spread.py's KNOTS are the smallest reach, then the fewest knots, whose score is
 within MARGIN of the best one's.
 """
 
@@ -45,7 +45,7 @@ def rows():
     for reach in REACHES:
         yield f"reach {reach}: score with {', '.join(map(str, KNOTS))} knots", ", ".join(f"{mean[reach, knots]:.3f}" for knots in KNOTS), ""
     best = min(key for key in mean if mean[key] <= (1 + MARGIN) * min(mean.values()))
-    from vision import edges, spread
+    from vision.corners import edges, spread
 
     yield "reach and knots by the rule; as they are", f"{best}; {(edges.REACH, spread.KNOTS)}", "equal"
     for kind in least:
@@ -106,9 +106,9 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.collect import ROUNDS
-    from vision.detect import grey, place
-    from vision.spread import PLAIN, empty_profile, learn
+    from vision.corners.detect import grey, place
+    from vision.corners.spread import PLAIN, empty_profile, learn
+    from vision.reading.collect import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
@@ -131,10 +131,10 @@ def _score(pictures, markers):
 
 
 def _main(reach):
-    from vision import edges
+    from vision.corners import edges
 
     edges.REACH = reach
-    from vision import spread
+    from vision.corners import spread
     from vision.targets import marker_map
 
     with tempfile.TemporaryDirectory() as folder:

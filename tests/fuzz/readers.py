@@ -24,7 +24,7 @@ from rig.images import check_image
 from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.pose import TRIANGLE
 from synthetic import score, simulation, world
-from vision import board
+from vision.lenses import board
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from rig.pose import difference
 from synthetic import pictures, render, scene, simulation, world
 from synthetic.occlusion import hidden
 from tests.conftest import SHARED
-from vision.collect import collect
+from vision.reading.collect import collect
 from vision.targets import marker_map
 
 

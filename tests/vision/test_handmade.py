@@ -6,12 +6,12 @@ from scipy.stats import chi2
 
 from rig.pose import log
 from tests.vision.handmade import Handmade, handmade
+from vision.bundle.places import doubtful, moves
+from vision.bundle.unknowns import aligned
 from vision.measure import Measurement
 from vision.observations import from_corners
-from vision.places import doubtful, moves
 from vision.recorded import solve
 from vision.targets import marker_map
-from vision.unknowns import aligned
 
 
 def measured(made: Handmade, places: str = "auto") -> Measurement:

@@ -8,9 +8,9 @@ from rig.errors import NotEnoughData
 from rig.mechanisms import hexapod
 from rig.pose import difference
 from synthetic import simulation, world
-from vision import adjust as adjusting
-from vision.crossvalidate import crossvalidate
-from vision.determined import determined
+from vision.bundle import adjust as adjusting
+from vision.bundle.crossvalidate import crossvalidate
+from vision.bundle.determined import determined
 from vision.recorded import measure_recording
 
 

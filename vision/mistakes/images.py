@@ -9,9 +9,9 @@ import numpy as np
 from rig.errors import FileError
 from rig.mistakes import Mistake
 from rig.recording import Corners, Recording
-from vision.collect import image_reader
-from vision.detect import detect, dictionary_reader
+from vision.corners.detect import detect, dictionary_reader
 from vision.mistakes.sample import FRAMES
+from vision.reading.collect import image_reader
 from vision.targets import MarkerMap, marker_map
 
 FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",

@@ -70,7 +70,7 @@ def take(corners: Corners, mask: np.ndarray) -> Corners:
 
 
 def trial(seen: Seen, free: tuple[str, ...] = ("poses", "lenses")) -> Trial:
-    """Trial of Seen: all of its frames measured, cameras and lenses adjusted as `rig measure` does. free : see vision.adjust"""
+    """Trial of Seen: all of its frames measured, cameras and lenses adjusted as `rig measure` does. free : see vision.bundle.adjust"""
     known = np.isin(seen.corners.marker, [number for target in seen.design.targets for number in target.ids])
     corners = seen.corners if known.all() else take(seen.corners, known)
     if not len(corners.frame):

@@ -11,17 +11,16 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.refine import Refined
-from calib.diagnose.report.schema import (UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Unexplained, Value,
-                                          write)
+from calib.diagnose.report.schema import UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Unexplained, Value, write
 from rig import machine_file
 from rig.effects import BY_NAME
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
+from rig.files import write_text
 from rig.origin import Origin
 from rig.recording import Recording
-from rig.files import write_text
-from vision.places import Move
+from vision.bundle.places import Move
 
 
 def report(d: PlatformDiagnosis) -> Report:

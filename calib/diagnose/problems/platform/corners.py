@@ -8,8 +8,8 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from vision import lens
-from vision.adjust import lens_prior
-from vision.derivatives import derivatives
+from vision.bundle.adjust import lens_prior
+from vision.bundle.derivatives import derivatives
 from vision.observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
@@ -142,7 +142,7 @@ def standing(point: OperatingPoint) -> float:
     """px by which standing corners are off in the same way in every frame, 0 where noise suffices.
 
     The middle of all of them tells it, so that a marker out of its place or a lens that bends one camera's image does not pass for
-    it. See vision.robust.standing_error, which asks the same of their mean square
+    it. See vision.bundle.robust.standing_error, which asks the same of their mean square
     """
     k = point
     if k.seen is None:

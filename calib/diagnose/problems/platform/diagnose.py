@@ -24,7 +24,7 @@ from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
 from rig.origin import Origin
 from rig.recording import Recording
-from vision.places import Move, moves
+from vision.bundle.places import Move, moves
 
 
 @dataclass(frozen=True, slots=True)

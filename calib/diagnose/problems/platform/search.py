@@ -16,7 +16,7 @@ from calib.diagnose.problems.platform.candidates import PlatformCandidate, Reach
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from rig.effects.base import Motion
-from vision.derivatives import derivatives
+from vision.bundle.derivatives import derivatives
 
 CHUNK = 64  # nodes at a time
 

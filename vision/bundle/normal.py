@@ -1,0 +1,169 @@
+"""Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vision.bundle.derivatives import moved, seen
+from vision.bundle.unknowns import POSE_SCALE, shifts
+from vision.predict import body_points
+from vision.targets import SQUARE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Derivatives:
+    """What one camera's corners say, whitened, per scaled unknown. rows : slice of the observations.
+
+    own : (n, 2, k) to unknowns of the corner's frame, own_columns : (k,) theirs in the frame's block
+    shared : (n, 2, w) to shared unknowns, shared_columns : (m, w) theirs, for a corner of each marker; the first `steady`
+    are the same for all markers
+    """
+
+    rows: slice
+    own: np.ndarray
+    own_columns: np.ndarray
+    shared: np.ndarray
+    shared_columns: np.ndarray
+    steady: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Normal equations. local : (F, l, l); cross : (F, l, s); shared : (s, s); right sides own : (F, l), common : (s,)."""
+
+    local: np.ndarray
+    cross: np.ndarray
+    shared: np.ndarray
+    own: np.ndarray
+    common: np.ndarray
+
+
+def linearise(observations, estimate, unknowns, whitener):
+    """Whitened residuals (n, 2), seen less predicted, and {camera index: Derivatives} of the prediction.
+
+    whitener : Whitener of the observations
+    """
+    state = estimate.state
+    body = body_points(observations, state)
+    R_platform = state.platform.rotation.as_matrix()
+    markers = observations.marker.max(initial=0) + 1
+    if unknowns.markers:
+        R_marker, in_marker = state.markers.T_body_marker.rotation.as_matrix(), state.markers.side[:, None, None] * SQUARE
+    if unknowns.targets:
+        arms, turns = _about_targets(estimate, unknowns)
+    residual, found = np.empty((len(observations), 2)), {}
+    for i, rows, uv, J_base, J_camera, J_lens in seen(observations, state):
+        frame, on = observations.frame[rows], observations.on_platform[rows][:, None, None]
+        marker, corner, own = observations.marker[rows], observations.corner[rows], whitener.own[rows]
+        whitened = own @ (observations.uv[rows] - uv)[..., None]
+        J_base = own @ J_base
+        J_body = np.where(on, J_base @ R_platform[frame], J_base)
+        local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [range(6)]
+        shared, columns = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)]
+        if i in unknowns.local_poses or i in unknowns.poses:
+            if i in unknowns.local_poses:
+                local.append(own @ J_camera)
+                own_columns.append(_range(unknowns.local_poses[i]))
+            else:
+                shared.append(own @ J_camera)
+                columns.append(np.tile(_range(unknowns.poses[i]), (markers, 1)))
+        if i in unknowns.lenses:
+            shared.append(own @ J_lens)
+            columns.append(np.tile(_range(unknowns.lenses[i]), (markers, 1)))
+        steady = sum(part.shape[1] for part in columns)
+        if unknowns.markers:
+            shared.append(moved(J_body @ R_marker[marker], in_marker[marker, corner]))
+            columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
+        if unknowns.targets:
+            shared.append(moved(J_body @ turns[marker], arms[marker, corner]))
+            names = state.markers.target[:markers]
+            columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
+        columns = np.concatenate(columns, axis=1)
+        local, shared = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[columns[marker]][:, None]
+        count = local.shape[2]
+        mixed = whitener.mix(np.concatenate([local, shared, whitened], axis=-1), rows)
+        residual[rows] = mixed[..., -1]
+        found[i] = Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], columns, steady)
+    return residual, found
+
+
+def _range(columns):
+    return np.arange(columns.start, columns.stop)
+
+
+def _about_targets(estimate, unknowns):
+    """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
+    markers = estimate.state.markers
+    shift = shifts(estimate, unknowns)
+    middle = np.array([unknowns.middles.get(name, np.zeros(3)) for name in markers.target])
+    turns = shift.rotation.as_matrix()
+    before = (markers.corners - shift.translation[:, None]) @ turns  # the corners, their target's motion taken back
+    return before - middle[:, None], turns
+
+
+def normal_equations(observations, derivatives, residual, unknowns, offset):
+    """Blocks of the whitened residuals (n, 2) and of what the stated values are worth. offset : (s,) scaled, from the stated."""
+    frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
+    blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
+    for found in derivatives.values():
+        _add_camera(observations, found, residual[found.rows], blocks)
+    blocks.local[:, np.arange(l), np.arange(l)] += ~unknowns.used  # unknowns that nothing sees stay put
+    return blocks
+
+
+def _add_camera(observations, found, residual, blocks):
+    """Add one camera's corners to Blocks, marker by marker: A^T A of a marker's four corners, summed where it belongs."""
+    frame, marker = observations.frame[found.rows], observations.marker[found.rows]
+    new = np.r_[True, (np.diff(frame) != 0) | (np.diff(marker) != 0)]
+    sighting, first = np.cumsum(new) - 1, np.flatnonzero(new)
+    k, w = found.own.shape[2], found.shared.shape[2]
+    A, r = np.zeros((len(first), 4, 2, k + w)), np.zeros((len(first), 4, 2))  # a corner that is missing counts nothing
+    corner = observations.corner[found.rows]
+    A[sighting, corner, :, :k], A[sighting, corner, :, k:], r[sighting, corner] = found.own, found.shared, residual
+    A = A.reshape(len(first), 8, -1)
+    N, g = np.swapaxes(A, 1, 2) @ A, (np.swapaxes(A, 1, 2) @ r.reshape(len(first), 8, 1))[..., 0]
+    frame, marker, own, steady = frame[first], marker[first], found.own_columns, k + found.steady
+    edges = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
+    f = frame[edges]
+    blocks.local[np.ix_(f, own, own)] += np.add.reduceat(N[:, :k, :k], edges)
+    blocks.own[np.ix_(f, own)] += np.add.reduceat(g[:, :k], edges)
+    if found.steady:
+        columns = found.shared_columns[0, : found.steady]
+        blocks.cross[np.ix_(f, own, columns)] += np.add.reduceat(N[:, :k, k:steady], edges)
+    if steady < k + w:
+        columns = found.shared_columns[marker, None, found.steady :]
+        np.add.at(blocks.cross, (frame[:, None, None], own[None, :, None], columns), N[:, :k, steady:])
+    order = np.argsort(marker, kind="stable")
+    edges = np.flatnonzero(np.r_[True, np.diff(marker[order]) != 0])
+    columns = found.shared_columns[marker[order][edges]]
+    np.add.at(blocks.shared, (columns[:, :, None], columns[:, None, :]), np.add.reduceat(N[order, k:, k:], edges))
+    np.add.at(blocks.common, columns, np.add.reduceat(g[order, k:], edges))
+
+
+def step(blocks, unknowns, damping=0.0):
+    """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur complement)."""
+    diagonal = np.einsum("fii->fi", blocks.local)
+    H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
+    solved = np.linalg.solve(H, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
+    reduced, right = _reduced(blocks, solved)
+    reduced += damping * np.diag(np.diag(blocks.shared))
+    basis = unknowns.basis
+    shared = basis @ np.linalg.solve(basis.T @ reduced @ basis, basis.T @ right) if basis.shape[1] else np.zeros(unknowns.shared)
+    return shared, solved[..., -1] - solved[..., :-1] @ shared
+
+
+def promised(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
+    """By how much the undamped steps of `step` lower the cost where it is as its linearisation has it."""
+    return float(blocks.common @ shared + (blocks.own * local).sum())
+
+
+def reduce(blocks):
+    """(gain (F, l, s), reduced (s, s), right (s,)): the frames' own unknowns eliminated; own = ... - gain @ shared."""
+    solved = np.linalg.solve(blocks.local, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
+    return solved[..., :-1], *_reduced(blocks, solved)
+
+
+def _reduced(blocks, solved):
+    s = blocks.shared.shape[0]
+    both = blocks.cross.reshape(blocks.own.size, s).T @ solved.reshape(blocks.own.size, s + 1)
+    return blocks.shared - both[:, :-1], blocks.common - both[:, -1]

@@ -1,0 +1,1 @@
+"""Image -> marker corners with covariance."""

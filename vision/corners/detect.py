@@ -1,0 +1,211 @@
+"""Image -> marker corners with covariance: OpenCV finds and reads the markers, the fit of the whole square places them."""
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import cv2
+import numpy as np
+
+from vision.corners import edges, local_lens, square
+from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN
+from vision.predict import expected
+from vision.targets import marker_cells
+
+ITERATIONS = 25
+ROOM = 6.0  # px around a marker that its blur may take
+REACH = 3.0  # px from where the reader or a prediction puts them within which the sides of a marker are looked for
+SMALLEST_CELL = 2.5  # px across, below which cells run together
+WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
+EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
+AROUND = 0.5  # of a marker's extent, to each side of where it is expected and not read, that is searched for any other
+BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
+MISFIT = 0.12  # of the contrast; residuals above it are no image of this marker
+COVERED = 0.3  # share of pixels that are no image of this marker, from which it is not trusted
+LEAST_CONTRAST = 6.0  # standard deviations of the noise
+_NEXT = [1, 2, 3, 0]
+_UNREAD = "its bits are not to be read where it is expected"
+_REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
+            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
+            square.NOT_READ: _UNREAD}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """What one image shows.
+
+    marker : (m,) identities; corners : (m, 4, 2) px, OpenCV's pixel centres and corner order
+    covariance : (m, 8, 8) px^2, of u0 v0 u1 v1 ..; blur : (m,) px, edge width, the pixel's own included
+    noise : (m,) grey levels, standard deviation of what the fit leaves; contrast : (m,) grey levels
+    left_out : (identity, reason) of markers that were read and not placed
+    """
+
+    marker: np.ndarray
+    corners: np.ndarray
+    covariance: np.ndarray
+    blur: np.ndarray
+    noise: np.ndarray
+    contrast: np.ndarray
+    left_out: tuple[tuple[int, str], ...]
+
+    def take(self, index):
+        """The same with only the markers of an index or mask (m,)."""
+        return Detection(self.marker[index], self.corners[index], self.covariance[index], self.blur[index], self.noise[index],
+                         self.contrast[index], self.left_out)
+
+
+def grey(image, reader=True):
+    """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
+
+    reader : whether the first is wanted. Raises ValueError for any other kind.
+    """
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if image.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"expected a grey or colour image of 8 or 16 bit, got {image.dtype} {image.shape}")
+    if image.dtype == np.uint8:
+        return image, image
+    full = image.astype(np.float32) / 257
+    if not reader:
+        return None, full
+    top = max(float(np.percentile(full, 99.9)), 1e-3)
+    return np.clip(full * (255 / top), 0, 255).astype(np.uint8), full
+
+
+@lru_cache
+def dictionary_reader(name):
+    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.perspectiveRemovePixelPerCell = 8
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
+
+
+def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtful=False):
+    """All markers of a rig in one image.
+
+    image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
+    marker_map : MarkerMap; other identities are passed over; spread : Spread of the camera's edges
+    T_base_platform : the pose expected (from the command, or the frame before), or None. Then only the places are read where
+    markers ought to be; where fewer than BELIEVED of a body's show their bits, the whole image is searched after all
+    doubtful : whether it is also searched where, instead of one that is not read, any other marker is: something is not as stated
+    Returns Detection
+    """
+    if T_base_platform is not None:
+        rows, places = expected(camera, T_base_platform, marker_map)
+        found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
+        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(number for number, _ in found.left_out)])
+        if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
+                doubtful and _others(image, marker_map, rows[~read], places[~read])):
+            return found
+    eight, full = grey(image)
+    numbers, guess, left_out = search(eight, marker_map)
+    return place(full, camera, marker_map, numbers, guess, left_out, spread)
+
+
+def _others(image, marker_map, rows, places):
+    """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a little way off."""
+    for row, quad in zip(rows, places):
+        around = AROUND * np.ptp(quad, axis=0).max()
+        (x0, y0), (x1, y1) = np.maximum(quad.min(axis=0) - around, 0).astype(int), (quad.max(axis=0) + around).astype(int) + 1
+        quads, ids, _ = dictionary_reader(marker_map.dictionary[row]).detectMarkers(np.ascontiguousarray(grey(image[y0:y1, x0:x1])[0]))
+        middle, side = quad.mean(axis=0) - [x0, y0], np.linalg.norm(quad - quad[_NEXT], axis=1).max()
+        if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
+            return True
+    return False
+
+
+def search(eight, marker_map):
+    """(identities (m,), corners (m, 4, 2) px to a pixel or so, [(identity, reason)] of those seen twice) in an image (height, width) uint8."""
+    found, left_out = {}, []
+    for name in dict.fromkeys(marker_map.dictionary):
+        corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
+        ids = [] if ids is None else ids.ravel().tolist()
+        rows = marker_map.rows(np.array(ids, int)).tolist() if ids else []
+        for number, row, quad in zip(ids, rows, corners):
+            if row >= 0 and marker_map.dictionary[row] == name:
+                found.setdefault(number, []).append(quad)
+    for number in [number for number, quads in found.items() if len(quads) > 1]:
+        left_out.append((number, f"seen {len(found.pop(number))} times in one image"))
+    numbers = sorted(found)
+    return np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out
+
+
+def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, reach=REACH, verify=False, profile=None):
+    """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
+
+    full : (height, width) in 255ths of white; spread : Spread of the camera's edges
+    reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
+    verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of it
+    profile : see vision.corners.spread, added to
+    """
+    guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
+    rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
+    patterns = [_pattern(marker_map.dictionary[row], number) for row, number in zip(rows.tolist(), numbers.tolist())]
+    sizes = np.array([len(cells) for cells, _ in patterns], int)
+    parts, left_out = [], list(left_out)
+    for size in np.unique(sizes):
+        index = np.flatnonzero(sizes == size)
+        margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
+        cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
+        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, reach, verify, profile)
+        left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
+        parts.append((numbers[index[good]], *columns))
+    if not parts:
+        empty = np.zeros(0)
+        return Detection(np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out))
+    joined = [np.concatenate(column) for column in zip(*parts)]
+    order = np.argsort(joined[0], kind="stable")
+    return Detection(*(column[order] for column in joined), tuple(left_out))
+
+
+def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, profile):
+    """(good (m,) bool, reasons, (corners, covariance, blur, noise, contrast) of the good) for quads (m, 4, 2) px of one size."""
+    m = len(quads)
+    height, width = full.shape
+    sides = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
+    middle = quads.mean(axis=1)
+    centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+    polynomials = np.empty((m, 2, 10))
+    local_lens.polynomials(local_lens.table(camera), centres, polynomials)
+    room = ROOM + reach + 0.02 * sides.max(axis=1)[:, None]
+    low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
+    high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
+    boxes = np.concatenate([low, high], axis=1)
+    starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
+    pixels = np.empty(starts[-1], np.float32)
+    edges.cut(full, boxes, starts, pixels)
+    along = quads[:, _NEXT] - quads
+    axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
+    directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
+    corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
+    wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
+    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong,
+                       spread.tables, LEVELS, directions, spread.width, ITERATIONS, corners, covariances, results, status,
+                       NO_PROFILE if profile is None else profile)
+    wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
+    reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]
+    good = np.array([not reason for reason in reasons], bool)
+    return good, reasons, (corners[good], covariances[good], results[good, 4], results[good, 0], results[good, 1])
+
+
+def _reason(status, cell, wandered, noise, contrast, _, doubted, *others):
+    """Why a marker is left out, or "" where it is not."""
+    if status == square.NOT_READ:
+        return _UNREAD
+    if cell < SMALLEST_CELL:
+        return f"too small: a cell is {cell:.1f} px"
+    if status != square.OK:
+        return _REASONS[status]
+    if contrast < LEAST_CONTRAST * noise:
+        return f"contrast {contrast:.0f} is lost in noise {noise:.1f}" if noise < MISFIT * 255 else "covered or not this marker"
+    if doubted > COVERED:
+        return f"covered or not this marker: {doubted:.0%} of its pixels do not fit"
+    if noise > MISFIT * contrast:
+        return f"covered or not this marker: the fit leaves {noise / contrast:.0%} of the contrast"
+    return "the fit left the place where it was read" if wandered else ""
+
+
+@cache
+def _pattern(name, number):
+    cells = marker_cells(name, number)
+    return cells, edges.outlook(cells)

@@ -1,0 +1,112 @@
+"""Share of white in and around one cell of a marker: edge spread functions multiplied, and corrected where two edges meet.
+
+Source: bivariate normal, Drezner and Wesolowsky 1990
+"""
+
+import math
+
+import numpy as np
+
+from vision.corners.jit import kernel
+
+STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
+MEETING = 3.0  # edge widths from two edges at once within which their meeting matters
+GRID = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+@kernel
+def edge(table, x):
+    """Share of white and its slope at x edge widths from an edge, from a table (STEPS + 1, 2)."""
+    at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
+    i = int(at)
+    f = at - i
+    return table[i, 0] + f * (table[i + 1, 0] - table[i, 0]), table[i, 1] + f * (table[i + 1, 1] - table[i, 1])
+
+
+@kernel
+def _meeting(h, k, rho):
+    """Bivariate normal distribution less the product of its margins."""
+    total = 0.0
+    for g in range(3):
+        r = 0.5 * rho * (_NODES[g] + 1)
+        q = 1 - r * r
+        total += _WEIGHTS[g] * math.exp(-(h * h - 2 * r * h * k + k * k) / (2 * q)) / math.sqrt(q)
+    return total * rho / (4 * math.pi)
+
+
+@kernel
+def pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
+    """White share at cell coordinates X, Y in or next to cell (i, j), edges sx, sy (cells) wide; and d/dX, d/dY, d/d ln(width).
+
+    cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
+    """
+    last = cells.shape[0] - 1
+    hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
+    Pa, pa = edge(table_x, hl)
+    Pb, pb = edge(table_x, hr)
+    Pc, pc = edge(table_y, vl)
+    Pd, pd = edge(table_y, vr)
+    y0, y1, y2 = min(max(j + 1, 0), last), min(max(j + 2, 0), last), min(max(j + 3, 0), last)
+    x0, x1, x2 = min(max(i + 1, 0), last), min(max(i + 2, 0), last), min(max(i + 3, 0), last)
+    s, gx, gy, gb = 0.0, 0.0, 0.0, 0.0
+    for v in range(3):
+        if v == 0:
+            y, w, dw, bw = y0, 1 - Pc, -pc / sy, pc * vl
+        elif v == 1:
+            y, w, dw, bw = y1, Pc - Pd, (pc - pd) / sy, pd * vr - pc * vl
+        else:
+            y, w, dw, bw = y2, Pd, pd / sy, -pd * vr
+        a, b, c = cells[y, x0], cells[y, x1], cells[y, x2]
+        row = a + (b - a) * Pa + (c - b) * Pb
+        s += w * row
+        gx += w * ((b - a) * pa + (c - b) * pb) / sx
+        gy += dw * row
+        gb += bw * row - w * ((b - a) * pa * hl + (c - b) * pb * hr)
+    if abs(rho) > 0.02:
+        for u in range(2):
+            h, left, right = (hl, x0, x1) if u == 0 else (hr, x1, x2)
+            for v in range(2):
+                k, top, bottom = (vl, y0, y1) if v == 0 else (vr, y1, y2)
+                w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
+                if w != 0 and abs(h) < MEETING and abs(k) < MEETING:
+                    s += w * _meeting(h, k, rho)
+    return s, gx, gy, gb
+
+
+@kernel
+def wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
+    """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
+    last = cells.shape[0] - 1
+    h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)
+    k = ((Y - j + 1) / sy, (Y - j) / sy, (Y - j - 1) / sy, (Y - j - 2) / sy)
+    across = (edge(table_x, h[0]), edge(table_x, h[1]), edge(table_x, h[2]), edge(table_x, h[3]))
+    down = (edge(table_y, k[0]), edge(table_y, k[1]), edge(table_y, k[2]), edge(table_y, k[3]))
+    s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0
+    for v in range(5):
+        y = min(max(j + v, 0), last)
+        a = cells[y, min(max(i, 0), last)]
+        row, slope, spread = a, 0.0, 0.0
+        for u in range(4):
+            b = cells[y, min(max(i + u + 1, 0), last)]
+            row += (b - a) * across[u][0]
+            slope += (b - a) * across[u][1] / sx
+            spread -= (b - a) * across[u][1] * h[u]
+            a = b
+        w = (down[v - 1][0] if v > 0 else 1.0) - (down[v][0] if v < 4 else 0.0)
+        s += w * row
+        gx += w * slope
+        gb += w * spread
+        if v > 0:
+            gy += (row - above) * down[v - 1][1] / sy
+            gb -= (row - above) * down[v - 1][1] * k[v - 1]
+        above = row
+    if abs(rho) > 0.02:
+        for u in range(4):
+            left, right = min(max(i + u, 0), last), min(max(i + u + 1, 0), last)
+            for v in range(4):
+                top, bottom = min(max(j + v, 0), last), min(max(j + v + 1, 0), last)
+                w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
+                if w != 0 and abs(h[u]) < MEETING and abs(k[v]) < MEETING:
+                    s += w * _meeting(h[u], k[v], rho)
+    return s, gx, gy, gb

@@ -1,0 +1,126 @@
+"""Frame by frame: where the platform and every moving camera stand, as a start for adjusting all frames together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from vision.pose.locate import View, locate, undistorted
+from vision.pose.neighbours import astray, choose
+
+PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """poses : {frame: T_base_platform}; moving : {camera: {frame: T_base_camera}}; unsolved : {frame: reason}
+    vouched : {(frame, body)} whose one sighting the frames before and after confirm."""
+
+    poses: dict[int, RigidTransform]
+    moving: dict[int, dict[int, RigidTransform]]
+    unsolved: dict[int, str]
+    vouched: set[tuple[int, int]]
+
+    def all_poses(self, count):
+        """RigidTransform (count,) of the platform, the identity where there is none."""
+        return _filled(self.poses, count)
+
+    def all_moving(self, count):
+        """{camera: RigidTransform (count,)}, the identity where there is none."""
+        return {i: _filled(T, count) for i, T in self.moving.items()}
+
+
+def _filled(poses, count):
+    return RigidTransform.concatenate([poses.get(f, RigidTransform.identity()) for f in range(count)])
+
+
+class Views:
+    """Views cut out of a recording's observations, the lens taken out of all of them once."""
+
+    def __init__(self, observations, cameras, marker_map, finest):
+        self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
+        self.map, self.finest = marker_map, finest
+        self.ideal, self.covariance = undistorted(observations.uv, observations.covariance, observations.camera, cameras)
+        self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
+        self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
+        self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
+
+    def locate(self, rows, T_camera_world, ideal=None):
+        """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
+        o = self.observations
+        ideal = self.ideal[rows] if ideal is None else ideal
+        return locate(View(o.points[rows], self.normals[rows], ideal, self.covariance[rows], o.camera[rows], o.marker[rows],
+                           o.corner[rows], self.focal, T_camera_world), self.map, self.finest)
+
+
+def resect(views, cameras):
+    """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of each."""
+    o, found = views.observations, {}
+    for i, camera in enumerate(cameras):
+        if camera.mount == "moving":
+            continue
+        rows = np.flatnonzero(~o.on_platform & (o.camera == i))
+        key = o.marker[rows] * 4 + o.corner[rows]
+        keys, first = np.unique(key, return_index=True)
+        ideal = np.array([np.median(views.ideal[rows[key == k]], axis=0) for k in keys]).reshape(-1, 2)
+        located = views.locate(rows[first], views.identity, ideal)
+        if located:
+            found[i] = located.T_world_body.inv()
+    return found
+
+
+def locate_frames(views, cameras, t=None, progress=None):
+    """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its neighbours in time.
+
+    progress : called with (done, of), or None
+    """
+    o, count = views.observations, len(views.observations.frames)
+    moving, unsolved, vouched = {}, {}, set()
+    by_frame = np.argsort(o.frame, kind="stable")
+    edges = np.searchsorted(o.frame[by_frame], np.arange(count + 1))
+    rows_of = [by_frame[edges[f] : edges[f + 1]] for f in range(count)]
+    lost = {}
+    for i, camera in enumerate(cameras):
+        if camera.mount != "moving":
+            continue
+        answers = {f: views.locate(rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)}
+        found, alone, why = _decided(answers, t)
+        moving[i] = {f: T.inv() for f, T in found.items()}
+        vouched |= {(f, i) for f in alone}
+        lost[i] = {f: f"moving camera {camera.name!r} is lost: {reason}" for f, reason in why.items()}
+    fixed = np.array([camera.pose.inv().as_matrix() for camera in cameras])
+    answers = {}
+    for f, rows in enumerate(rows_of):
+        T_camera_world = fixed.copy()
+        for i, poses in moving.items():
+            if f in poses:
+                T_camera_world[i] = poses[f].inv().as_matrix()
+            else:
+                poses[f] = cameras[i].pose
+        seen = rows[o.on_platform[rows]]
+        known = np.array([f not in lost.get(i, {}) for i in o.camera[seen].tolist()], bool)
+        if len(seen) and not known.any():
+            unsolved[f] = next(lost[i][f] for i in o.camera[seen].tolist())
+        else:
+            answers[f] = views.locate(seen[known], T_camera_world)
+        if progress:
+            progress(f + 1, count)
+    poses, alone, why = _decided(answers, t)
+    return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
+
+
+def _decided(answers, t):
+    """({frame: T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
+    found = {f: answer.T_world_body.as_matrix() for f, answer in answers.items() if answer}
+    why = {f: answer.reason for f, answer in answers.items() if not answer}
+    chosen = {}
+    if t is not None:
+        for f, reason in astray(found, t).items():
+            del found[f]
+            why[f] = reason
+        doubtful = {f: [one.T_world_body.as_matrix() for one in answer.candidates] for f, answer in answers.items()
+                    if not answer and answer.candidates}
+        chosen = choose(found, doubtful, t)
+        why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
+    poses = {f: RigidTransform.from_matrix(matrix) for f, matrix in (found | chosen).items()}
+    return poses, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

@@ -1,0 +1,227 @@
+"""Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from rig.errors import FileError
+from rig.exposures import read_image, refused, undecodable
+from rig.processes import cores, gathered
+from rig.recording import Corners
+from vision.corners.detect import detect, grey, place, search
+from vision.corners.spread import PLAIN, Spread, empty_profile, learn
+from vision.observations import correlation_of
+from vision.predict import expected
+from vision.reading import expect
+
+LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
+ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
+FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Collected:
+    """Corners of all images; correlation : (n, 2, 8) of them, see Observations
+    left_out : (frame, camera, identity, reason) of markers read but not placed; spread : {camera: Spread} learnt from its images
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
+
+    corners: Corners
+    correlation: np.ndarray | None
+    left_out: list[tuple[int, str, int, str]]
+    blur: dict[str, np.ndarray]
+    noise: dict[str, np.ndarray]
+    spread: dict[str, Spread]
+
+
+def image_reader(recording):
+    """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is none."""
+    e = recording.exposures
+    names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
+
+    def read(frame, camera):
+        name = names.get((int(frame), camera))
+        return None if name is None else grey(read_image(recording.folder / name))[0]
+
+    return read
+
+
+def collect(recording, marker_map, progress=None):
+    """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be decoded."""
+    try:
+        return _collected(recording, marker_map, progress)
+    except FileError:
+        bad = undecodable(recording.folder, recording.exposures)
+        if not bad:
+            raise
+        raise refused(bad) from None
+
+
+def _collected(recording, marker_map, progress):
+    """Collected from every image of a recording. progress : called with (done, of), or None.
+
+    Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the
+    places are read where markers ought to be. The whole image is searched after all where half a body's markers are not there, where
+    another marker is in the place of one that is not, and on a rig that is not as it is stated.
+    Raises FileError naming the image that cannot be decoded or has another size than its camera.
+    """
+    e, design = recording.exposures, recording.design
+    work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
+    tell, found = _counter(progress, len(work)), {}
+    taught = sorted({k for camera in {camera.name for _, camera, _ in work} for k in _some([i for i, w in enumerate(work) if w[1].name == camera])})
+
+    def searched(k):
+        _, camera, name = work[k]
+        eight, full = grey(_image(recording, camera, name))
+        return full, *search(eight, marker_map)
+
+    whole = dict(zip(taught, _in_parallel(searched, taught, None)))
+    spread = {camera.name: learn_spread({k: whole[k] for k in taught if work[k][1] is camera}, camera, marker_map) for camera in
+              {work[k][1].name: work[k][1] for k in taught}.values()}
+
+    def placed(k):
+        full, numbers, guess, left_out = whole[k]
+        return place(full, work[k][1], marker_map, numbers, guess, left_out, spread[work[k][1].name])
+
+    found.update(zip(taught, _in_parallel(placed, taught, tell)))
+    whole.clear()
+    rest = [k for k in range(len(work)) if k not in found]
+    rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
+    known = expect.taught(recording, *corners_of(rows), _left_out(rows), marker_map) if len(rest) > len(taught) else None
+
+    def one(k, T=None):
+        _, camera, name = work[k]
+        adjusted = known.camera(camera.name) if known and T is not None else None
+        image = _image(recording, camera, name)
+        if adjusted is None:
+            return detect(image, camera, marker_map, spread[camera.name])
+        return detect(image, adjusted, marker_map, spread[camera.name], T, doubtful=True)
+
+    if known is None or known.commanded:
+        found.update(zip(rest, _in_parallel(lambda k: one(k, known and known.commanded.get(work[k][0])), rest, tell)))
+    else:
+        found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
+    rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
+    return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
+
+
+def _image(recording, camera, name):
+    image = read_image(recording.folder / name)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
+                        f"{camera.width} x {camera.height} px")
+    return image
+
+
+def _some(indices):
+    """Those of a camera's images that teach."""
+    return [indices[round(k)] for k in np.linspace(0, len(indices) - 1, min(LEARN_FROM, len(indices)))]
+
+
+def _one_after_the_other(work, rest, found, one, known, design, tell):
+    """{index: Detection} of images frame by frame, each expected where the frame before was."""
+    out, last = {}, None
+    for frame in sorted({frame for frame, *_ in work}):
+        own = [k for k, (number, *_) in enumerate(work) if number == frame]
+        fresh = [k for k in own if k in rest]
+        out.update(zip(fresh, _in_parallel(lambda k, T=last: one(k, T), fresh, tell)))
+        last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
+    return out
+
+
+def _counter(progress, total):
+    """A progress that goes on counting where the one before has ended."""
+    done = iter(range(1, total + 1))
+    return (lambda *_: progress(next(done), total)) if progress else None
+
+
+def _left_out(rows):
+    return [(frame, name, number, reason) for frame, name, d in rows for number, reason in d.left_out]
+
+
+def learn_spread(searched, camera, marker_map):
+    """Spread of a camera's edges. searched : {image: (full, identities, corners to a pixel or so, left out)}"""
+    def first(item):
+        full, numbers, guess, _ = item
+        return full, place(full, camera, marker_map, numbers, guess)
+
+    seen = [(full, d.marker, d.corners) for full, d in _in_parallel(first, list(searched.values()), None) if len(d.marker)]
+    spread = PLAIN
+    for _ in range(ROUNDS if seen else 0):
+        def again(item, spread=spread):
+            full, marker, corners = item
+            profile = empty_profile()
+            return place(full, camera, marker_map, marker, corners, spread=spread, reach=0.0, profile=profile), profile
+
+        done = _in_parallel(again, seen, None)
+        blur = np.concatenate([d.blur for d, _ in done])
+        if len(blur):
+            spread = learn(spread, sum(profile for _, profile in done), float(np.median(blur)))
+    return spread
+
+
+def look_again(recording, collected, measurement, marker_map, progress=None):
+    """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
+
+    measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
+    FALSE_ALARM of its place.
+    """
+    camera_of = {camera.name: camera for camera in measurement.design.cameras}
+    seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
+    matrices = dict(zip(measurement.frames.tolist(), measurement.T_base_platform))
+    work = []
+    for i, name in enumerate(recording.exposures.image):
+        frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
+        if not name or frame not in matrices or camera.mount == "moving":
+            continue
+        rows, places = expected(camera, matrices[frame], marker_map)
+        fresh = [k for k, row in enumerate(rows) if (frame, camera.name, int(marker_map.id[row])) not in seen]
+        if fresh:
+            work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
+
+    def one(item):
+        frame, camera, name, numbers, places = item
+        _, full = grey(read_image(recording.folder / name))
+        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN), verify=True)
+
+    found = []
+    for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
+        at = [numbers.tolist().index(number) for number in d.marker]
+        near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
+        found.append((frame, camera.name, d.take(near)))
+    extra, correlation = corners_of(found)
+    return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
+
+
+def _in_parallel(one, work, progress):
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # images are the parallel unit
+    try:
+        with ThreadPoolExecutor(cores()) as pool:
+            return gathered(pool, one, work, progress)
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def corners_of(found):
+    """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
+    sizes = [len(d.marker) for *_, d in found]
+    covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
+    own = np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1).reshape(-1, 2, 2)
+    names = [name for (_, name, _), size in zip(found, sizes) for _ in range(4 * size)]
+    marker = np.concatenate([d.marker for *_, d in found] or [np.zeros(0, int)])
+    uv = np.concatenate([d.corners for *_, d in found] or [np.zeros((0, 4, 2))]).reshape(-1, 2)
+    frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
+    return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
+            correlation_of(covariance).reshape(-1, 2, 8))
+
+
+def _joined(a, b):
+    return Corners(np.r_[a.frame, b.frame], a.camera + b.camera, np.r_[a.marker, b.marker], np.r_[a.corner, b.corner],
+                   np.concatenate([a.uv, b.uv]), np.concatenate([a.covariance, b.covariance]))
+
+
+def _by_camera(rows, what):
+    names = list(dict.fromkeys(name for _, name, _ in rows))
+    return {name: np.concatenate([getattr(d, what) for _, other, d in rows if other == name]) for name in names}

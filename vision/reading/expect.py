@@ -1,0 +1,78 @@
+"""Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or the frame before."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig import mechanisms
+from rig.design import Camera
+from rig.errors import NotConverged, NotEnoughData
+from rig.pose import difference, exp
+from vision.measure import measure
+from vision.observations import from_corners
+from vision.pose.frames import Views, locate_frames
+from vision.pose.identity import suspects
+from vision.pose.locate import FINEST
+from vision.predict import State, predict
+from vision.targets import MarkerMap
+
+NEAR = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following: half of what detect.py looks over
+LEAST = 4  # frames that teach anything
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expectation:
+    """cameras : as adjusted to the frames that taught; markers : MarkerMap; commanded : {frame: T_base_platform}, empty where commands
+    do not tell where the platform is: then the frame before does."""
+
+    cameras: tuple[Camera, ...]
+    markers: MarkerMap
+    commanded: dict[int, RigidTransform]
+
+    def camera(self, name):
+        """The camera of that name, or None for one that moves: where it stands is not known before its image is read."""
+        return next((camera for camera in self.cameras if camera.name == name and camera.mount != "moving"), None)
+
+    def locate(self, corners, frame, design):
+        """T_base_platform of a frame from its Corners alone, or None."""
+        observations = from_corners(corners, np.array([frame]), design, self.markers)
+        return locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses.get(0) if len(observations) else None
+
+
+def taught(recording, corners, correlation, left_out, markers):
+    """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
+
+    corners, correlation : Corners and (n, 2, 8); left_out : (frame, camera, identity, reason) of those images
+    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image.
+    """
+    frames, design = np.unique(corners.frame), recording.design
+    if len(frames) < LEAST or any(reason.startswith("seen ") for *_, reason in left_out):
+        return None
+    try:
+        m = measure(from_corners(corners, frames, design, markers, correlation), design, markers)
+    except NotEnoughData:
+        return None
+    if m.unsolved or suspects(m, markers):
+        return None
+    return Expectation(m.design.cameras, markers, _commanded(recording, m, frames))
+
+
+def _commanded(recording, m, frames):
+    """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform is seen."""
+    if recording.commands is None or recording.design.mechanism.kind != "hexapod":
+        return {}
+    numbers, _, values = recording.commanded()
+    mechanism = recording.design.mechanism
+    try:
+        T = mechanisms.of(mechanism).forward(values, mechanism)
+    except NotConverged:
+        return {}
+    at = np.searchsorted(numbers, frames)
+    T = T * exp(np.median(difference(T[at], m.T_base_platform), axis=0))
+    o = m.observations
+    here = State(m.design.cameras, T[at], m.adjustment.state.moving)
+    miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
+    count = np.bincount(o.frame[m.inliers & o.on_platform], minlength=len(frames))
+    rms = np.sqrt(np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1))
+    return dict(zip(numbers.tolist(), T)) if (rms < NEAR).all() else {}

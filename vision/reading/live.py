@@ -1,0 +1,154 @@
+"""A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so far now and then.
+
+The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between two
+adjustments the cameras are held, so that one that has moved shows.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.design import Camera, Design
+from rig.errors import NotEnoughData
+from rig.processes import cores
+from rig.recording import Corners
+from vision.corners.detect import Detection, detect, grey, place
+from vision.corners.spread import PLAIN
+from vision.measure import Measurement, measure
+from vision.observations import Observations, from_corners
+from vision.pose.frames import Views, locate_frames, resect
+from vision.pose.locate import FINEST
+from vision.predict import State, expected, predict
+from vision.reading.collect import corners_of, learn_spread
+from vision.targets import marker_map
+
+TAUGHT = (6, 12, 24, 48, 96)  # solved frames after which cameras are adjusted to all so far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What one frame shows. T_base_platform : None where it is not solved, then `reason` says why.
+
+    covariance : (6, 6) on the right, None too while the cameras have not been adjusted: their share is not known before that
+    observations : Observations of this frame alone; residuals : (n, 2) px against the pose and the cameras held, NaN where unsolved
+    inliers : (n,) bool; detections : {camera: Detection}; expected : {camera: identities that ought to be seen at the pose}
+    """
+
+    frame: int
+    T_base_platform: RigidTransform | None
+    covariance: np.ndarray | None
+    reason: str
+    observations: Observations
+    residuals: np.ndarray
+    inliers: np.ndarray
+    detections: dict[str, Detection]
+    expected: dict[str, tuple[int, ...]]
+
+
+class Live:
+    """The measuring of one run. design : Design as stated; cameras : as adjusted so far; noise : px of a corner, None before that."""
+
+    def __init__(self, design: Design) -> None:
+        if not design.cameras or not design.targets:
+            raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
+        self.design, self.markers = design, marker_map(design)
+        self.cameras, self.noise = design.cameras, None
+        self._rows: list[tuple[int, str, Detection]] = []
+        self._solved, self._factor = 0, 1.0
+        self._measurement: Measurement | None = None
+        self._first: list[tuple[int, str, np.ndarray]] = []  # images from which the cameras' edges are learnt; none once they are
+        self._spread = {camera.name: PLAIN for camera in design.cameras}
+        self._pool = ThreadPoolExecutor(cores())
+
+    def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
+        """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or None."""
+        by_name = {camera.name: camera for camera in self.cameras}
+        adjusted = self._measurement is not None and T_expected is not None
+        work = [(name, self._pool.submit(detect, image, by_name[name], self.markers, self._spread[name],
+                                         T_expected if adjusted and by_name[name].mount == "fixed" else None))
+                for name, image in images.items()]
+        detections = {name: future.result() for name, future in work}
+        rows = [(frame, name, detection) for name, detection in detections.items()]
+        self._rows += rows
+        if self._measurement is None and len(self._first) < TAUGHT[0] * len(images):
+            self._first += [(frame, name, image) for name, image in images.items()]
+        sight = self._locate(frame, rows, detections)
+        self._solved += sight.T_base_platform is not None
+        return sight
+
+    def adjust(self) -> Measurement | None:
+        """Adjust cameras to all frames so far where it is time to; the Measurement, or None. Takes a second or so: call it while nobody waits."""
+        if self._solved not in TAUGHT or (self._measurement is not None and len(self._measurement.frames) >= self._solved):
+            return None
+        if self._first:
+            self._learn_edges()
+        corners, correlation = corners_of(self._rows)
+        observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
+        try:
+            self._measurement = measure(observed, self.design, self.markers)
+        except NotEnoughData:
+            return None
+        self.cameras, self.noise, self._factor = self._measurement.design.cameras, self._measurement.noise, self._measurement.factor
+        return self._measurement
+
+    def _learn_edges(self) -> None:
+        """How each camera's edges look, from the first images; their corners are placed once more with that."""
+        again = {}
+        for camera in self.cameras:
+            own = {frame: grey(image)[1] for frame, name, image in self._first if name == camera.name}
+            seen = {frame: detection for frame, name, detection in self._rows if name == camera.name and frame in own}
+            spread = learn_spread({f: (own[f], d.marker, d.corners, d.left_out) for f, d in seen.items()}, camera, self.markers)
+            self._spread[camera.name] = spread
+            again.update({(f, camera.name): place(own[f], camera, self.markers, d.marker, d.corners, d.left_out, spread) for f, d in seen.items()})
+        self._rows = [(frame, name, again.get((frame, name), detection)) for frame, name, detection in self._rows]
+        self._first = []
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+    def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
+        corners, correlation = corners_of(rows)
+        observed = from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
+        observed = replace(observed, covariance=observed.covariance * self._factor)
+        nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan), np.zeros(len(observed), bool),
+                        detections, {})
+        if not len(observed):
+            return nothing
+        cameras = self.cameras if self._measurement is not None else self._resected(corners)
+        views = Views(observed, cameras, self.markers, FINEST)
+        found = locate_frames(views, cameras)
+        if 0 not in found.poses:
+            return replace(nothing, reason=found.unsolved[0])
+        T = found.poses[0]
+        state = State(cameras, RigidTransform.concatenate([T]), found.all_moving(1))
+        on = np.flatnonzero(observed.on_platform)
+        T_camera_base = np.array([state.moving[i][0].inv().as_matrix() if i in state.moving else camera.pose.inv().as_matrix()
+                                  for i, camera in enumerate(cameras)])
+        located = views.locate(on, T_camera_base)
+        inliers = np.ones(len(observed), bool)
+        inliers[on] = located.inliers if located else True
+        residuals = observed.uv - predict(observed, state)[0]
+        return replace(nothing, T_base_platform=T, covariance=self._uncertain(T, located.covariance) if located else None, reason="",
+                       residuals=residuals, inliers=inliers, expected={name: self._ought(cameras, name, T) for name in detections})
+
+    def _resected(self, corners: Corners) -> tuple[Camera, ...]:
+        """Cameras where their own images of the base's markers put them, before they are adjusted."""
+        every, correlation = corners_of(self._rows)
+        observed = from_corners(every, np.unique(every.frame), self.design, self.markers, correlation)
+        found = resect(Views(observed, self.design.cameras, self.markers, FINEST), self.design.cameras)
+        return tuple(replace(camera, pose=found.get(i, camera.pose)) for i, camera in enumerate(self.design.cameras))
+
+    def _ought(self, cameras: tuple[Camera, ...], name: str, T: RigidTransform) -> tuple[int, ...]:
+        camera = next(camera for camera in cameras if camera.name == name)
+        return tuple(self.markers.id[expected(camera, T, self.markers)[0]].tolist()) if camera.mount == "fixed" else ()
+
+    def _uncertain(self, T: RigidTransform, own: np.ndarray) -> np.ndarray | None:
+        """(6, 6) a pose's own covariance and what the cameras' adds, as it is at the nearest pose to which they were adjusted."""
+        m = self._measurement
+        if m is None:
+            return None
+        near = int(np.argmin(np.linalg.norm(m.T_base_platform.translation - T.translation, axis=1)))
+        return own + m.common[near] @ m.common[near].T
