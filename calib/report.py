@@ -7,10 +7,10 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib.certificate import HeldOut, errors_of
-from calib.claim import Claim
-from calib.observability import combinations
-from calib.verdict import verdict
+from calib.certify.certificate import HeldOut, errors_of
+from calib.certify.claim import Claim
+from calib.identify.observability import combinations
+from calib.certify.verdict import verdict
 from rig import mechanisms
 from rig.files import write_text
 from rig.pose import vector

@@ -15,10 +15,10 @@ import numpy as np
 from calib.arms.correction import ArmCorrection
 from calib.arms.model import names
 from calib.arms.profile import Profile
-from calib.certificate import Figures, HeldOut
-from calib.claim import Claim
-from calib.correction import Correction
-from calib.interpolate.radial import Radial
+from calib.certify.certificate import Figures, HeldOut
+from calib.certify.claim import Claim
+from calib.correct.correction import Correction
+from calib.correct.interpolate.radial import Radial
 from rig import json_file
 from rig.design import Arm, Hexapod
 from rig.entries import LARGEST_RIG, Entries

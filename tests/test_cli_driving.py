@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from calib.correction import Correction
+from calib.correct.correction import Correction
 from calib.store import Calibration, save
 from rig import design_file, mechanisms
 from rig.cli import main

@@ -10,9 +10,9 @@ from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, needed, parameters
 from calib.arms.observations import of_samples
 from calib.arms.place import placed
-from calib.certificate import GAIN, HeldOut, compare, correlation, errors_of
-from calib.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
-from calib.configurations import folds, labels, ranges, witnesses
+from calib.certify.certificate import GAIN, HeldOut, compare, correlation, errors_of
+from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
+from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.samples import Samples
 from rig.design import Arm, Instrument
 from rig.plan import FILL, low_discrepancy

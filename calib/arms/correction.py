@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.correction import Correction
+from calib.correct.correction import Correction
 from rig.errors import Unreachable
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference

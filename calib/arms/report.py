@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.arms import model
-from calib.certificate import errors_of
+from calib.certify.certificate import errors_of
 from calib.report import before_after, coverage, origin, page, table, worth
 
 

@@ -42,14 +42,14 @@ def run(arguments):
 
 
 def _hexapod(recording, sampled, out, argv, rng, progress, joint):
-    from calib.certificate import certify, promised
+    from calib.certify.certificate import certify, promised
     from calib.report import calibration_page
-    from calib.verdict import verdict
+    from calib.certify.verdict import verdict
 
     samples = sampled.samples
     done = certify(samples, recording.design.mechanism, rng, progress)
     if joint:
-        from calib.joint import refine
+        from calib.identify.with_cameras import refine
 
         progress("solving cameras and geometry together", 0, 1)
         done = replace(done, **dict(zip(("correction", "found"), refine(sampled, recording.design, done.correction, done.found))))
@@ -71,7 +71,7 @@ def _hexapod(recording, sampled, out, argv, rng, progress, joint):
 def _arm(recording, sampled, out, argv, rng, progress):
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
-    from calib.verdict import verdict
+    from calib.certify.verdict import verdict
 
     done = certify(sampled.samples, recording.design.mechanism, recording.design.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)

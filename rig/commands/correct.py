@@ -22,7 +22,7 @@ def run(arguments):
     import numpy as np
 
     from calib import store
-    from calib.correction import reachable
+    from calib.correct.correction import reachable
     from rig import writing
     from rig import recording as recordings
 

@@ -34,7 +34,7 @@ def run(arguments):
     import numpy as np
 
     from calib import store
-    from calib.correction import reachable
+    from calib.correct.correction import reachable
     from rig.commands.driving import design_of, driving, lengths_text, print_status
 
     if not 0 < arguments.speed <= 1:

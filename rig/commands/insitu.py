@@ -23,7 +23,7 @@ def run(arguments):
     recording = read_recording(arguments)
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
 
-    from calib import insitu
+    from calib.certify import insitu
     from calib.pipeline import sample_recording
 
     nominal = insitu.stated(recording.design)
@@ -43,7 +43,7 @@ def run(arguments):
 
 
 def _print(found, source):
-    from calib.insitu import AXES, MOVES
+    from calib.certify.insitu import AXES, MOVES
 
     print(f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; um and urad:")
     print(f"{'':4}{'bias':>9}{'scatter':>9}{'expected':>9}{'limits of agreement':>24}{'surely within':>15}{'tolerance':>11}{'moved over':>14}")
@@ -60,9 +60,9 @@ def _learn(arguments, recording, limbs, frames, lengths, samples, state):
     """Learn the struts from the limbs' poses, vision checking every so often; the exit status."""
     import numpy as np
 
-    from calib import insitu
-    from calib.identify import parameters
-    from calib.online import Online
+    from calib.certify import insitu
+    from calib.identify.geometry import parameters
+    from calib.online.filter import Online
     from rig.commands.online import not_learnt, said
     from rig.provenance import flat, marks
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.watch import Learner, Learnt, LimbWatch
+from calib.online.watch import Learner, Learnt, LimbWatch
 from rig import mechanisms
 from rig.clock import Clock
 from rig.commands.online import said

@@ -33,8 +33,8 @@ def run(arguments):
 
     import numpy as np
 
-    from calib.identify import parameters
-    from calib.online import Online
+    from calib.identify.geometry import parameters
+    from calib.online.filter import Online
     from calib.pipeline import sample_recording
     from rig.provenance import flat, marks
 

@@ -81,8 +81,8 @@ def _parameters(arguments):
     out = arguments.outputs.file(arguments.out)
 
     from calib import store
-    from calib.exchange import choose
-    from calib.observability import PLAUSIBLE, combinations
+    from calib.identify.d_optimal import choose
+    from calib.identify.observability import PLAUSIBLE, combinations
 
     if arguments.calibration:
         mechanism = store.load(arguments.calibration).correction.fitted

@@ -29,10 +29,10 @@ def run(arguments):
 
     import numpy as np
 
-    from calib.certificate import compare, errors_of
-    from calib.configurations import labels, ranges
+    from calib.certify.certificate import compare, errors_of
+    from calib.certify.configurations import labels, ranges
     from calib.pipeline import sample_recording
-    from calib.verdict import verified
+    from calib.certify.verdict import verified
 
     sampled = sample_recording(recording, progress=progress)
     samples = sampled.samples
@@ -62,7 +62,7 @@ def run(arguments):
 def _driven(calibration, recording, samples, wanted):
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
     from calib.arms import certify
-    from calib.certificate import figures, model_covariance, uncertainty
+    from calib.certify.certificate import figures, model_covariance, uncertainty
     from rig.pose import difference
 
     frames = recording.exposures.times()[0].tolist()
@@ -76,7 +76,7 @@ def _driven(calibration, recording, samples, wanted):
 
 
 def _verification(held, same, sampled, driven, claim):
-    from calib.verdict import kept
+    from calib.certify.verdict import kept
 
     def side(figures):
         names = ("rms", "p95", "max", "mean")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from calib import store
-from calib.watch import Learner
+from calib.online.watch import Learner
 from rig.commands.looking import Display, Looking
 from rig.commands.page import Page
 from rig.commands.terminal import terminal

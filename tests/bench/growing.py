@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from calib.watch import Learner
+from calib.online.watch import Learner
 from rig import design_file, layout, recording
 from rig.cameras.settled import settling
 from rig.cameras.source import Frame

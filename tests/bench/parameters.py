@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib import insitu, joint
-from calib.exchange import CRITERIA, choose
-from calib.identify import PRIOR, identify, parameters, pose_jacobian, with_parameters
-from calib.learners import Drifting, FirstOrder, Forgetting
-from calib.observability import PLAUSIBLE, combinations
-from calib.online import Online
+from calib.certify import insitu
+from calib.identify import with_cameras
+from calib.identify.d_optimal import CRITERIA, choose
+from calib.identify.geometry import PRIOR, identify, parameters, pose_jacobian, with_parameters
+from calib.online.learners import Drifting, FirstOrder, Forgetting
+from calib.identify.observability import PLAUSIBLE, combinations
+from calib.online.filter import Online
 from calib.pipeline import sample_recording
 from rig import design_file, layout, plan, recording
 from rig.export import genhexkins
@@ -198,8 +199,8 @@ def _joint():
         return ", ".join(both)
 
     start = time.perf_counter()
-    corners, commanded, state = joint.commanded_state(done.measurement, samples)
-    one = joint.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).hexapod)
+    corners, commanded, state = with_cameras.commanded_state(done.measurement, samples)
+    one = with_cameras.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).hexapod)
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certificate import compare, errors_of
-from calib.correction import calibrate
-from calib.identify import pose_jacobian
+from calib.certify.certificate import compare, errors_of
+from calib.correct.correction import calibrate
+from calib.identify.geometry import pose_jacobian
 from calib.pipeline import sample_recording
 from rig import recording
 from rig.mechanisms import hexapod

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calib import closed_loop
-from calib.identify import parameters
+from calib.identify import closed_loop
+from calib.identify.geometry import parameters
 from rig.design import Hexapod
 from rig.mechanisms import hexapod
 from rig.pose import exp, pose
@@ -47,7 +47,7 @@ def by_differences(m, T, step=1e-5):
 
 def worst_jacobian(count, seed):
     """Greatest relative disagreement, of the whole matrix, between J_p and differences over `count` random machines and poses."""
-    from calib.identify import pose_jacobian
+    from calib.identify.geometry import pose_jacobian
 
     rng = np.random.default_rng(seed)
     worst = 0.0

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify import parameters, with_parameters
-from calib.online import Online
+from calib.identify.geometry import parameters, with_parameters
+from calib.online.filter import Online
 from rig.mechanisms import hexapod
 from rig.pose import exp
 from rig.plan import low_discrepancy
@@ -49,7 +49,7 @@ def learnt(design, poses, learner=None):
 
 def sigma_of(learner, strut):
     """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known then."""
-    from calib.square_root import KINDS, WINDOW
+    from calib.online.square_root import KINDS, WINDOW
 
     total = learner.sums[(learner.count - 1) % WINDOW]
     return float(total[1 + KINDS + (KINDS + 1) * (strut - 1)] ** -0.5)

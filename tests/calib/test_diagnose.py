@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib import store
-from calib.certificate import certify
+from calib.certify.certificate import certify
 from calib.diagnose.engine.chance import davies
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform import marker_identity

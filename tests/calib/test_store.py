@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from calib import store
-from calib.certificate import certify, promised
+from calib.certify.certificate import certify, promised
 from rig.errors import FileError
 from rig.mechanisms import hexapod
-from tests.calib.test_correction import wavy
+from tests.calib.correct.test_correction import wavy
 from tests.calib.worlds import sampled, workspace
 
 

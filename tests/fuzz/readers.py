@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from calib import store
-from calib.certificate import Figures, HeldOut
-from calib.correction import Correction
-from calib.online import Online
+from calib.certify.certificate import Figures, HeldOut
+from calib.correct.correction import Correction
+from calib.online.filter import Online
 from rig import design_file, layout, plan, recording, table
 from rig.commands import blind
 from rig.effects import ALL

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identify import pose_jacobian
+from calib.identify.geometry import pose_jacobian
 from rig import machine, plan
 from rig.effects import BY_NAME
 from rig.effects.parse import parse

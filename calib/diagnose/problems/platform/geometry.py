@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify import PRIOR, loop_jacobian, parameters, with_parameters
+from calib.identify.geometry import PRIOR, loop_jacobian, parameters, with_parameters
 from rig.design import Hexapod, Planar2
 
 Platform = Hexapod | Planar2

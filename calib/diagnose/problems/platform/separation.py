@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify import PRIOR, loop_jacobian
+from calib.identify.geometry import PRIOR, loop_jacobian
 from rig import machine, mechanisms
 from rig.design import Design
 from rig.effects.base import Effect

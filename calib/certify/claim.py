@@ -1,0 +1,172 @@
+"""What a calibration is worth all over the workspace, at configurations that were not recorded: a posterior, not the recorded poses' own error.
+
+Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where these do
+not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn machine is driven all
+over the middle of the strokes, once by the owner's model and once by the calibrated one; the ratio of the two RMS errors, from draw
+to draw, is the claim. How much noise and misfit there is, is drawn as well (chi-square: few configurations tell it badly).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correct.correction import Correction
+from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
+from calib.samples import Samples
+from calib.identify.tolerance import Tolerance, spread
+from rig import mechanisms
+from rig.design import Hexapod
+from rig.errors import NotConverged
+from rig.plan import FILL, low_discrepancy
+from rig.pose import difference
+
+LEAST = 8  # distinct configurations from which a factor is claimed; fewer cannot say whether the model holds elsewhere
+PLACES = 256  # of the workspace
+DRAWS = 1000
+TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it
+EDGES = (0.5, 0.025, 0.975)
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """distinct : configurations recorded; determined : combinations, of `unknowns`, that the poses tell at all (of a hexapod: to 5 mm);
+    better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words; workspace : what is meant, in words
+    before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
+    95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
+    low, high), None where no factor is claimed; reason : why none is, or None
+    """
+
+    distinct: int
+    determined: int
+    better: int
+    unknowns: int
+    tolerance: str
+    workspace: str
+    before: tuple[tuple[float, ...], ...] | None
+    after: tuple[tuple[float, ...], ...] | None
+    ratio: tuple[float, ...] | None
+    measured: tuple[float, ...] | None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Workspace:
+    """At m places: jacobian (m, 6, k) of the pose's tangent with the parameters; offset (m, 6) pose error of the owner's model against the
+    corrected one; own (2,) or (d, 2) m^2 and rad^2, mean square of what no model corrects, or draws of it; words : what is meant by it."""
+
+    jacobian: np.ndarray
+    offset: np.ndarray
+    own: np.ndarray
+    words: str
+
+    def squares(self, draws: np.ndarray) -> np.ndarray:
+        """(before, after), each (d, 2) m^2 and rad^2, mean over the places, of machines that are draws (d, k) from the corrected model."""
+        out = np.empty((2, len(draws), 2))
+        for c, part in enumerate((slice(0, 3), slice(3, 6))):
+            J, offset = self.jacobian[:, part].reshape(-1, self.jacobian.shape[2]), self.offset[:, part].ravel()
+            Q, m = J.T @ J, len(self.jacobian)
+            after = np.einsum("di,ij,dj->d", draws, Q, draws)
+            before = after + 2 * draws @ (J.T @ offset) + offset @ offset
+            out[:, :, c] = np.stack([before, after]) / m + self.own[..., c]
+        return out
+
+
+def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, common: bool, rng: np.random.Generator, **known: int | str) -> Claim:
+    """Claim of machines drawn (d, k) about the corrected model; samples : Samples, for what their instrument adds.
+
+    common : whether that has errors shared by all poses; known : the other fields. rng : numpy Generator
+    """
+    before, after = workspace.squares(draws)
+    seen = np.full(len(draws), np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
+    if common:
+        shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], len(draws)))
+        seen = seen + (shared**2).sum(axis=1).mean(axis=0)
+    ratio = np.sqrt(before[:, 0] / after[:, 0])
+    measured = np.sqrt((before[:, 0] + seen) / (after[:, 0] + seen))
+    return Claim(workspace=workspace.words, before=_both(before), after=_both(after), ratio=_three(ratio), measured=_three(measured), **known)
+
+
+def _three(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.quantile(values, EDGES))
+
+
+def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(_three(np.sqrt(column)) for column in squares.T)
+
+
+def too_few(distinct: int, determined: int, better: int, unknowns: int, tolerance: str, workspace: str) -> Claim:
+    """The Claim of fewer than LEAST distinct configurations: none, and why."""
+    return Claim(distinct, determined, better, unknowns, tolerance, workspace, None, None, None, None,
+                 f"{_counted(distinct)} cannot say how the model does at others; a factor takes {LEAST}")
+
+
+def _counted(distinct: int) -> str:
+    return f"{distinct} distinct configuration" + ("" if distinct == 1 else "s")
+
+
+def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count,) draws of by how much variances exceed the stated ones: the stated ones are worth TRUSTED degrees of freedom.
+
+    cost : whitened squares of a fit, its priors' included; freedom : how many numbers were fitted
+    """
+    return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
+
+
+def promise(found: Identified, tolerance: Tolerance, correction: Correction, samples: Samples, rng: np.random.Generator) -> Claim:
+    """Claim of a hexapod's calibration.
+
+    found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
+    samples : Samples of one pose a configuration; rng : numpy Generator
+    """
+    distinct = len(samples)
+    determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
+    nominal, fitted = correction.nominal, correction.fitted
+    middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
+    said = _tolerance_in_words(tolerance)
+    if distinct < LEAST:
+        return too_few(distinct, determined, better, 42, said, middle)
+    commands = low_discrepancy(nominal.strut_range, PLACES, FILL)
+    commands, T = _closing(commands, correction)
+    module = mechanisms.of(nominal)
+    offset = difference(T, module.forward(commands, nominal))
+    to_pose = np.linalg.inv(module.jacobian(T, fitted))
+    own = _scatters(found, rng) @ (to_pose**2).mean(axis=0).reshape(2, 3, 6).sum(axis=1).T
+    workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
+    draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
+    return claimed(workspace, draws, samples, samples.common.shape[2] > 0, rng, distinct=distinct, determined=determined, better=better,
+                   unknowns=42, tolerance=said)
+
+
+def _closing(commands: np.ndarray, correction: Correction) -> tuple[np.ndarray, RigidTransform]:
+    """Those of the commands (m, 6) that close on a pose, and these poses."""
+    try:
+        return commands, correction.predict(commands)
+    except NotConverged as error:
+        rest = np.delete(commands, error.index, axis=0)
+        return rest, correction.predict(rest)
+
+
+def _machines(found: Identified, tolerance: Tolerance, nominal: Hexapod, rng: np.random.Generator) -> np.ndarray:
+    """(DRAWS, 42) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
+    pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
+    inflated = dispersion(found.cost, 6 * int(found.inliers.sum()), DRAWS, rng)
+    z = rng.normal(size=(DRAWS, 42))
+    H = tolerance.information / inflated[:, None, None] + np.eye(42) / spread(tolerance.widths)[pick][:, :, None] ** 2
+    L = np.linalg.cholesky(H)
+    mean = np.linalg.solve(H, (tolerance.right / inflated[:, None])[..., None])[..., 0]
+    return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]
+
+
+def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
+    """(DRAWS, 6) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
+    count = int(found.inliers.sum())
+    freedom = max(count - 7, 1)
+    noise = np.einsum("nii->ni", found.residual_covariance)[found.inliers].mean(axis=0)
+    seen = (found.scatter**2 + noise) * freedom / rng.chisquare(freedom, (DRAWS, 6))
+    return np.where(found.scatter > 0, np.maximum(seen - noise, 0), 0)
+
+
+def _tolerance_in_words(tolerance: Tolerance) -> str:
+    joints, zeros = tolerance.prior[0], tolerance.prior[-1]
+    return f"joints good to {joints * 1e3:.2g} mm and zeros to {zeros * 1e3:.2g} mm a coordinate, as these poses have it"

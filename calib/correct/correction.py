@@ -1,0 +1,115 @@
+"""Correction summands over the whole configuration space, and the mechanism that they correct.
+
+KSF(x) = x - IK(GDK(x)): x commanded, GDK the pose it really gives, IK the inverse kinematics as the owner believes it. It is
+kept as a fitted geometry (its smooth part) and a remainder rho(x) = x - IK_fitted(GDK(x)). To get a wanted pose, the command
+x' is found that solves x' = x + KSF(x') with x = IK(wanted): the fixed point, not only its first step x + KSF(x).
+Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.identify.geometry import identify
+from calib.identify.tolerance import tolerance
+from calib.correct.interpolate import radial
+from rig import mechanisms
+from rig.design import Hexapod
+from rig.errors import NotConverged, RigError, Unreachable
+
+ITERATIONS = 100
+TOLERANCE = 1e-12  # m
+ROUNDS = 2  # of fitting the geometry and the remainder in turn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """nominal : the mechanism as its owner believes it; fitted : its smooth part; remainder : per axis a Radial or None."""
+
+    nominal: Hexapod
+    fitted: Hexapod
+    remainder: tuple
+
+    def rho(self, commands):
+        """(..., axes) m, the remainder at commands (..., axes)."""
+        commands = np.asarray(commands, float)
+        return np.stack([part(commands) if part is not None else np.zeros(commands.shape[:-1]) for part in self.remainder], axis=-1)
+
+    def predict(self, commands, guess=None):
+        """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the mechanism."""
+        return mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
+
+    def summand(self, commands):
+        """KSF (..., axes) m at commands (..., axes): commanded less what the owner's model says for the pose it gives."""
+        return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
+
+    def uncorrected(self, T_base_platform):
+        """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
+        return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
+
+    def inverse(self, T_base_platform):
+        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m; limits are for `reachable` to check.
+
+        Raises NotConverged with index, commands and residual (m) where the fixed point is not found
+        """
+        goal = mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        commands = goal.copy()
+        for _ in range(ITERATIONS):
+            new = goal + self.rho(commands)
+            change, commands = np.abs(new - commands).max(axis=-1), new
+            if change.max(initial=0) < TOLERANCE:
+                return commands
+        failed = np.flatnonzero(np.ravel(change) >= TOLERANCE)
+        raise NotConverged(f"the corrected command of {len(failed)} poses was not found", failed,
+                           commands.reshape(-1, commands.shape[-1])[failed], np.ravel(change)[failed])
+
+
+def reachable(commands, mechanism, labels):
+    """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
+    name, scale, unit = ("joint", np.degrees(1.0), "degrees") if mechanism.kind == "arm" else ("strut", 1e3, "mm")
+    beyond = mechanisms.of(mechanism).limits(commands, mechanism)
+    bad = np.flatnonzero((beyond != 0).any(axis=1))
+    if not len(bad):
+        return
+    lines = []
+    for i in bad:
+        axes = [f"{name} {j + 1} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
+                f"{'below' if beyond[i, j] < 0 else 'above'} its range" for j in np.flatnonzero(beyond[i])]
+        lines.append(f"{labels[i]}: " + "; ".join(axes))
+    raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
+
+
+def calibrate(samples, nominal, remainder="find", prior=None):
+    """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
+
+    samples : Samples; nominal : Hexapod; prior : (42,) m, how good its figures are, or None: as these samples have it
+    remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
+    None takes over size and smoothness from there. Raises RigError for another kind of mechanism, NotEnoughData as `identify`
+    """
+    if nominal.kind != "hexapod":
+        raise RigError(f"calibration of a mechanism of kind {nominal.kind!r} is not there yet; it knows hexapods")
+    if prior is None:
+        prior = tolerance(identify(samples, nominal), nominal).prior
+    found = identify(samples, nominal, prior=prior)
+    parts = (None,) * 6
+    like = remainder if isinstance(remainder, tuple) else parts
+    if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
+        return Correction(nominal, found.hexapod, parts), found
+    for _ in range(ROUNDS):
+        parts = _remainder(samples, found, nominal, parts, like)
+        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.commanded), prior)
+        if remainder == "find":
+            if not any(parts):
+                break
+            like = parts
+    return Correction(nominal, found.hexapod, parts), found
+
+
+def _remainder(samples, found, nominal, before, like):
+    """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or None."""
+    good = found.inliers
+    left = found.residuals + Correction(nominal, nominal, before).rho(samples.commanded)
+    variances = np.einsum("nii->ni", found.residual_covariance)
+    given = any(like)
+    return tuple(radial.fit(samples.commanded[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
+                 if (like[i] is not None if given else found.scatter[i]) else None for i in range(6))

@@ -1,0 +1,137 @@
+"""Which configurations determine the parameters best: an exchange of configurations against candidates all over the strokes.
+
+Criteria: "determinant" (D-optimal: the volume of the parameters' uncertainty), "noise" (the noise amplification index of Nahvi
+and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). Source of the exchange: Fedorov, Theory of Optimal
+Experiments, 1972.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.identify.geometry import pose_jacobian
+from calib.identify.observability import PLAUSIBLE
+from rig import plan
+from rig.errors import NotConverged, RigError
+from rig.mechanisms import hexapod as mechanism
+
+CANDIDATES = 2000
+FILL = 0.9  # of the strokes
+PASSES = 6  # of exchanging; each ends early where nothing pays
+PAYS = 1e-4  # relative gain below which an exchange is not made
+LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
+CRITERIA = ("determinant", "noise")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chosen:
+    """commands : (n, 6) m, in an order of short ways; root : (42, 42) information's square root, 1/m, with what was given;
+    before : (42, 42) of what was given alone; even : (42, 42) with as many low-discrepancy configurations in their stead"""
+
+    commands: np.ndarray
+    root: np.ndarray
+    before: np.ndarray
+    even: np.ndarray
+
+
+def choose(hexapod, count, sigmas, criterion="determinant", given=None, seed=0, progress=None):
+    """Chosen configurations, `count` of them, beside those given (k, 6) m.
+
+    sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with (done, of)
+    Raises RigError for an unknown criterion or too few configurations to hold 42 parameters
+    """
+    if criterion not in CRITERIA:
+        raise RigError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
+    given = np.zeros((0, 6)) if given is None else np.asarray(given, float)
+    if count + len(given) < 7:
+        raise RigError(f"{count + len(given)} configurations cannot determine 42 parameters; it takes 7, better 30")
+    candidates, G = _candidates(hexapod, sigmas, seed)
+    known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
+    M0 = known.T @ known
+    picked = []
+    gain = _determinant if criterion == "determinant" else _noise
+    for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
+        M = M0 + _sum(G, picked)
+        picked.append(int(np.argmax(_determinant(M + np.eye(42), G)[1])))
+        if progress:
+            progress(k + 1, count * (1 + PASSES))
+    for turn in range(PASSES):
+        moved = 0
+        for k in range(count):
+            rest = picked[:k] + picked[k + 1 :]
+            M = M0 + _sum(G, rest) + 1e-9 * np.eye(42)
+            now, values = gain(M, G, picked[k])
+            best = int(np.argmax(values))
+            if values[best] > now + PAYS * abs(now):
+                picked[k], moved = best, moved + 1
+            if progress:
+                progress(count * (1 + turn) + k + 1, count * (1 + PASSES))
+        if not moved:
+            break
+    if progress:
+        progress(count * (1 + PASSES), count * (1 + PASSES))
+    even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
+    parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
+    return Chosen(_short_way(candidates[picked], hexapod.strut_range.mean(axis=1)), *(_root(rows) for rows in (parts[0], known, parts[1])))
+
+
+def information(commands, hexapod, sigmas):
+    """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in plausible sizes)."""
+    commands = np.asarray(commands, float)
+    while True:
+        try:
+            T = mechanism.forward(commands, hexapod)
+        except NotConverged as error:
+            commands = np.delete(commands, error.index, axis=0)
+            continue
+        weights = 1 / np.repeat(sigmas, 3)[:, None]
+        return commands, pose_jacobian(T, hexapod) * weights * PLAUSIBLE
+
+
+def _candidates(hexapod, sigmas, seed):
+    """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
+    spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
+    commands = np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)])
+    commands, G = information(commands, hexapod, sigmas)
+    return commands, G
+
+
+def _sum(G, picked):
+    rows = G[picked].reshape(-1, 42)
+    return rows.T @ rows
+
+
+def _determinant(M, G, present=0):
+    """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
+    half = np.linalg.inv(np.linalg.cholesky(M))
+    rows = G @ half.T
+    values = np.linalg.slogdet(np.eye(6) + rows @ np.swapaxes(rows, 1, 2))[1]
+    return values[present], values
+
+
+def _noise(M, G, present=0):
+    """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking at)."""
+    size, V = np.linalg.eigh(M)
+    promise = np.einsum("cik,k->c", (G @ V) ** 2, 1 / np.maximum(size, 1e-12) ** 2)
+    look = np.r_[present, np.argsort(-promise)[:LOOKED_AT]]
+    s = np.linalg.eigvalsh(M + np.swapaxes(G[look], 1, 2) @ G[look])
+    index = np.maximum(s[:, 0], 0) / np.sqrt(s[:, -1])
+    values = np.full(len(G), -np.inf)
+    values[look[1:]] = index[1:]
+    return index[0], values
+
+
+def _root(rows):
+    R = np.linalg.qr(rows, mode="r") / PLAUSIBLE
+    return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
+
+
+def _short_way(commands, start):
+    """The same commands, each next the one soonest reached."""
+    left, ordered, here = list(range(len(commands))), [], start
+    while left:
+        near = min(left, key=lambda i: np.abs(commands[i] - here).max())
+        ordered.append(near)
+        left.remove(near)
+        here = commands[near]
+    return commands[ordered]

@@ -1,0 +1,115 @@
+"""Other ways of learning the 42 parameters pose by pose, behind the same update(x, pose, covariance) as calib/online/filter.py.
+
+They watch for nothing: each says how far a pose was from what it expected, and follows it.
+"""
+
+import numpy as np
+
+from calib.identify import closed_loop
+from calib.identify.geometry import PRIOR, parameters, with_parameters
+from calib.identify.observability import PLAUSIBLE
+from rig.errors import RigError
+
+NO_SCATTER = np.zeros(6)
+
+
+class _Learner:
+    """nominal : Hexapod; the estimate is `hexapod`."""
+
+    def __init__(self, nominal):
+        self.nominal, self.p = nominal, parameters(nominal)
+        self.home = np.ascontiguousarray(nominal.home.as_matrix())
+
+    @property
+    def hexapod(self):
+        """The Hexapod as estimated now."""
+        return with_parameters(self.nominal, self.p)
+
+    def rows(self, x, matrix, covariance, p):
+        """Whitened error (6,) and J_p (6, 42) at parameters p. Raises RigError for a command that closes on no pose."""
+        R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
+        right, J = np.empty((6, 1)), np.zeros((6, 42))
+        x, covariance = np.asarray(x, float), np.ascontiguousarray(covariance, float)
+        R_measured, t_measured = np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3])
+        if not closed_loop.pose_of(x, p, R, t) or not closed_loop.row(R, t, p, R_measured, t_measured, covariance, NO_SCATTER, right, J)[0]:
+            raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
+        return right[:, 0], J
+
+
+class Forgetting(_Learner):
+    """Recursive least squares that forgets only along what a pose tells, so that nothing winds up where nothing excites it.
+
+    Source: Cao and Schwartz, A directional forgetting algorithm, Automatica 36, 2000
+    """
+
+    def __init__(self, nominal, kept=0.99, prior=PRIOR):
+        """kept : share of what was known along a pose's directions that stays; prior : m"""
+        super().__init__(nominal)
+        if not 0 < kept <= 1:
+            raise ValueError(f"kept is a share above 0 and at most 1, got {kept}")
+        self.kept, self.information = kept, np.eye(42) / prior**2
+
+    @property
+    def covariance(self):
+        """(42, 42) m^2 of the estimate."""
+        return np.linalg.inv(self.information)
+
+    def update(self, x, T_base_platform, covariance):
+        """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
+        e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
+        told = J @ self.information
+        self.information += J.T @ J - (1 - self.kept) * told.T @ np.linalg.solve(told @ J.T, told)
+        self.p = self.p + np.linalg.solve(self.information, J.T @ e)
+        return e
+
+
+class Drifting(_Learner):
+    """Iterated extended Kalman filter for parameters that wander: a random walk between poses.
+
+    Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 10.5
+    """
+
+    def __init__(self, nominal, drift=1e-7, prior=PRIOR, iterations=3):
+        """drift : m per pose by which a parameter wanders, standard deviation; prior : m; iterations : linearisations per pose"""
+        super().__init__(nominal)
+        self.drift, self.iterations, self.covariance = drift, iterations, np.eye(42) * prior**2
+
+    def update(self, x, T_base_platform, covariance):
+        """One pose; returns its whitened innovation (6,), N(0, I) where all is as modelled. Raises RigError as `rows` does."""
+        matrix, before = T_base_platform.as_matrix(), self.p
+        P = self.covariance + self.drift**2 * np.eye(42)
+        p, innovation = before, None
+        for _ in range(self.iterations):
+            e, J = self.rows(x, matrix, covariance, p)
+            S = J @ P @ J.T + np.eye(6)
+            left = e + J @ (p - before)
+            if innovation is None:
+                innovation = np.linalg.solve(np.linalg.cholesky(S), left)
+            gain = np.linalg.solve(S, J @ P).T
+            p, earlier = before + gain @ left, p
+            if np.abs(p - earlier).max() < 1e-9:
+                break
+        keep = np.eye(42) - gain @ J
+        self.p, self.covariance = p, keep @ P @ keep.T + gain @ gain.T
+        return innovation
+
+
+class FirstOrder(_Learner):
+    """On-line gradient steps, each coordinate's as long as its gradients so far allow; no matrix is kept, and no covariance.
+
+    The regret against the best fixed parameters grows with the root of the number of poses. Source: Duchi, Hazan and Singer,
+    Adaptive subgradient methods, JMLR 12, 2011
+    """
+
+    def __init__(self, nominal, step=PLAUSIBLE):
+        """step : m, how far a parameter may plausibly have to go"""
+        super().__init__(nominal)
+        self.step, self.squares = step, np.zeros(42)
+
+    def update(self, x, T_base_platform, covariance):
+        """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
+        e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
+        gradient = -J.T @ e
+        self.squares += gradient**2
+        self.p = self.p - self.step * gradient / np.sqrt(np.maximum(self.squares, 1e-300))
+        return e
