@@ -9,6 +9,7 @@ class SelectionPolicy:
 
     alpha : chance of a finding where there is nothing, over all effects, places and searches (Bonferroni)
     delta_bic : of the Bayesian information criterion that a term must bring; 10 is "very strong" (Kass and Raftery 1995)
+    hidden : chance, over all candidates, above which a candidate is not fitted to see whether its own scatter hides it; 0 for never
     most : terms at once
     tried : candidates that may fail on held-out stretches before the search ends
     companions : of the greatest delta BIC; another axis' candidate with so much is admitted in the same step, inf for none
@@ -28,6 +29,7 @@ class SelectionPolicy:
 
     alpha: float = 1e-3
     delta_bic: float = 10.0
+    hidden: float = 1.0
     most: int = 6
     tried: int = 3
     companions: float = float("inf")
@@ -49,6 +51,7 @@ PLATFORM = SelectionPolicy()
 
 ARM = replace(
     PLATFORM,
+    hidden=0.0,  # an arm's scatter is one for all joints, and no joint's own
     most=24,  # an arm has six gears, six bearings and six loads of its own, where a platform's struts are alike and stiff
     companions=0.4,  # each joint's turn is measured nearly apart from the others', so that several can be admitted on one look
     forward_gain=None,  # a step admits several at once, each too small to tell by stretches until the others are in

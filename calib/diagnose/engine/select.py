@@ -72,8 +72,8 @@ def _forward(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) 
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         label = f"searching beside {admitted} effects" if admitted else "searching"
         scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled(progress, label))
-        promising = [s for s in scores if convincing(s, count, problem.linear(model).size, policy)
-                     and key(s) not in taken and not any(s.candidate is c for c in refused)]
+        fresh = [s for s in scores if key(s) not in taken and not any(s.candidate is c for c in refused)]
+        promising = [s for s in fresh if convincing(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
         if not promising or (admitted and _smooth_beyond(problem, model, promising[0])):
             break
         step = _step(problem, fit, promising, scores, refused)
@@ -84,6 +84,25 @@ def _forward(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) 
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = prune(problem, problem.refined(fit))
     return fit
+
+
+def _hidden(problem: Problem[Fit, Model], fit: Fit, model: Model, scores: list[Score]) -> list[Score]:
+    """Of the first few that a scan finds promising and not convincing, those that convince once fitted, the most convincing first: what is not
+    admitted yet counts as its own axis' scatter, and the strongest hides itself most."""
+    policy, linear = problem.policy, problem.linear(model)
+    close = [s for s in scores if s.raw_delta_bic(linear.size) >= policy.delta_bic and s.p_value * len(problem.candidates) <= policy.hidden]
+    fitted = [sharpened(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in close[: policy.tried]]
+    found = [s for s in fitted if convincing(s, len(problem.candidates), linear.size, policy)]
+    return sorted(found, key=lambda s: -s.delta_bic(linear.size))
+
+
+def sharpened(score: Score, ratio: float, frames: int) -> Score:
+    """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best with and without
+    (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's factor."""
+    delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
+    if delta <= score.delta_chi2:
+        return score
+    return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
 
 
 def key(score: Score) -> tuple:
@@ -163,6 +182,8 @@ def _confirm(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) 
             break
         model, size = problem.without_term(fit, number), problem.size(fit)
         own = problem.rescored(model, fit, number)
+        if not convincing(own, count, size, policy) and own.p_value * count <= policy.hidden:
+            own = sharpened(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
         if not convincing(own, count, size, policy) or _outdone(problem, model, own):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
