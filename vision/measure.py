@@ -11,10 +11,11 @@ from rig.recording import Corners
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.robust import adjust_robustly, standing_error
 from vision.observations import Observations, only
-from vision.pose.frames import Views, locate_frames, resect
+from vision.pose.frames import Views, locate_frames, related, resect
 from vision.pose.locate import FINEST
 from vision.predict import State, predict
 
+FAR = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
 
 
@@ -88,7 +89,7 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = resect(views, cameras) if "poses" in free else {}
         cameras = tuple(replace(c, pose=found.get(i, c.pose)) for i, c in enumerate(cameras))
-        frames = locate_frames(views, cameras, t, progress and partial(progress, "locating"))
+        frames, cameras = _located(views, cameras, t, "poses" in free, progress and partial(progress, "locating"))
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
         unsolved = dict(frames.unsolved)
         fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0,
@@ -108,3 +109,26 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
                        result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
                        {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, fit.inliers,
                        residuals, float(noise), standing, weights, fit.scale**2, result)
+
+
+def _located(views, cameras, t, free, progress):
+    """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as the body relates them if
+    the corners agree better so."""
+    found = locate_frames(views, cameras, t, progress)
+    other = related(views, cameras) if free else {}
+    if not other:
+        return found, cameras
+    moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))
+    again = locate_frames(views, moved, t, progress)
+    if _disagreement(views, again, moved) < _disagreement(views, found, cameras):
+        return again, moved
+    return found, cameras
+
+
+def _disagreement(views, frames, cameras):
+    """px, mean by which corners lie from where the frames' poses put them, FAR at the most, so much for each of an unsolved frame's."""
+    o, count = views.observations, len(views.observations.frames)
+    uv, ahead = predict(o, State(cameras, frames.all_poses(count), frames.all_moving(count), views.map))
+    off = np.linalg.norm(o.uv - uv, axis=1)
+    off[(ahead[:, 2] <= 0) | ~np.isfinite(off) | np.isin(o.frame, list(frames.unsolved))] = FAR
+    return float(np.minimum(off, FAR).mean())

@@ -23,8 +23,8 @@ def measured(made: Handmade, places: str = "auto") -> Measurement:
 def squares(made: Handmade, m: Measurement) -> np.ndarray:
     """(markers,) normalised error squared of the places found, truth seen from the frame that the stated places hold; 6 is expected."""
     stated, true = marker_map(made.stated), marker_map(made.true)
-    truth = aligned(true.corners.reshape(-1, 3), stated.corners.reshape(-1, 3)) * true.T_body_marker
-    a, out = m.adjustment, []
+    a, out, seen = m.adjustment, [], m.adjustment.unknowns.seen
+    truth = aligned(true.corners[seen].reshape(-1, 3), stated.corners[seen].reshape(-1, 3)) * true.T_body_marker
     for row, columns in a.unknowns.markers.items():
         error = log(a.state.markers.T_body_marker[row].inv() * truth[row])
         out.append(error @ np.linalg.solve(a.shared_covariance[columns, columns], error))

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from vision.pose.locate import View, locate, undistorted
 from vision.pose.neighbours import astray, choose
 
+SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
 PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
 
 
@@ -67,6 +68,36 @@ def resect(views, cameras):
         if located:
             found[i] = located.T_world_body.inv()
     return found
+
+
+def related(views, cameras):
+    """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by itself: where they stand to
+    each other, the middle over the frames that they share with one of them, and all together where they are stated, in the mean.
+
+    Nothing where fewer than two share SHARED frames or some camera sees the base or moves.
+    """
+    o = views.observations
+    if not o.on_platform.all() or any(camera.mount == "moving" for camera in cameras):
+        return {}
+    alone = {}  # (camera, frame): T_camera_body
+    for i in np.unique(o.camera).tolist():
+        for f in np.unique(o.frame[o.camera == i]).tolist():
+            answer = views.locate(np.flatnonzero((o.camera == i) & (o.frame == f)), views.identity)
+            if answer:
+                alone[i, f] = answer.T_world_body
+    frames = {i: {f for j, f in alone if j == i} for i in np.unique(o.camera).tolist()}
+    first = max(frames, key=lambda i: len(frames[i]))
+    found = {first: RigidTransform.identity()}
+    for i, own in frames.items():
+        both = sorted(own & frames[first])
+        if i != first and len(both) >= SHARED:
+            steps = RigidTransform.concatenate([alone[first, f] * alone[i, f].inv() for f in both])
+            found[i] = RigidTransform.from_components(np.median(steps.translation, axis=0), steps.rotation.mean())
+    if len(found) < 2:
+        return {}
+    turn = RigidTransform.concatenate([cameras[i].pose * T.inv() for i, T in found.items()]).rotation.mean()
+    shift = np.mean([cameras[i].pose.translation - turn.apply(T.translation) for i, T in found.items()], axis=0)
+    return {i: RigidTransform.from_components(shift, turn) * T for i, T in found.items()}
 
 
 def locate_frames(views, cameras, t=None, progress=None):
