@@ -138,8 +138,8 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
         simulation.write(simulation.simulate(secret, plan.build(design, "sobol:90", len(load)), rng), tmp_path / name, layout(0.3), rng, 0.04)
     before, after = (recording.load(tmp_path / name) for name in ("before", "after"))
     sampled = sample_recording(before)
-    correction, found, held_out = certify(sampled.samples, before.design.mechanism, rng)
-    known = store.Calibration(correction, found.covariance, found.scatter, (), (), held_out, {})
+    done = certify(sampled.samples, before.design.mechanism, rng)
+    known = store.Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     assert not diagnose(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
     tree = report(diagnose(after, only=["compliance"], calibration=known)).tree()
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]
