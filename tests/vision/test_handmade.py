@@ -50,6 +50,7 @@ def test_places_that_are_as_stated_are_kept():
 
 @pytest.mark.slow
 def test_twenty_handmade_bodies_are_measured():
+    """The markers of one body share their cameras' errors, so 360 of them are fewer witnesses."""
     found = []
     for seed in range(20):
         made = handmade(seed, off=(1e-3 * (1 + seed % 3), 0.03))
@@ -57,4 +58,4 @@ def test_twenty_handmade_bodies_are_measured():
         assert m.places_free and len(m.frames) == 100 and m.noise < 1.1 * 0.1
         found.append(squares(made, m))
     found = np.concatenate(found)
-    assert found.mean() / 6 == pytest.approx(1, abs=0.1) and (found < chi2.ppf(0.9973, 6)).mean() > 0.99
+    assert found.mean() / 6 == pytest.approx(1, abs=0.1) and (found < chi2.ppf(0.9973, 6)).mean() > 0.98
