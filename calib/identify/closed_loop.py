@@ -6,12 +6,22 @@ pose, not at the measured one, keeps the measured pose's noise out of them. Sour
 a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms, eq. 1 [0024].
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
 MAX_TURN = 0.4  # rad per step, so that Newton stays in its assembly
+
+
+class Measured(NamedTuple):
+    """A measured pose, or n of them: R (..., 3, 3); t (..., 3) m; covariance (..., 6, 6) m^2, m rad, rad^2, tangent on the right."""
+
+    R: np.ndarray
+    t: np.ndarray
+    covariance: np.ndarray
 
 
 @njit(cache=True)
@@ -150,11 +160,12 @@ def error(R, t, R_measured, t_measured, e):
 
 
 @njit(cache=True)
-def row(R, t, p, R_measured, t_measured, covariance, scatter, right, J):
-    """One pose's whitened rows: right (6, 1 + k), whose columns from the second are given in the pose's tangent, gets the error
-    as its first and is whitened in place; J (6, 42) and the struts' own columns S (6, 6), returned, likewise.
+def row(R, t, p, measured, scatter, right, J):
+    """One pose's whitened rows, docs/mathematics.md (7): right (6, 1 + k), whose columns from the second are given in the pose's tangent,
+    gets the error as its first and is whitened in place; J (6, 42) and the struts' own columns S (6, 6), returned, likewise.
 
-    scatter : (6,) m^2 variance of each strut beyond the pose's covariance (6, 6). Returns (well, S): whether all is regular
+    R, t : the predicted pose; p : (42,) m; measured : Measured, of one pose; scatter : (6,) m^2 variance of each strut beyond its covariance
+    Returns (well, S): whether all is regular
     """
     length, u, A = np.empty(6), np.empty((6, 3)), np.empty((6, 6))
     struts(R, t, p, length, u, A)
@@ -163,14 +174,14 @@ def row(R, t, p, R_measured, t_measured, covariance, scatter, right, J):
         inverse[i, i] = 1.0
     if not solve_in_place(A, inverse):
         return False, inverse
-    C = covariance.copy()
+    C = measured.covariance.copy()
     for i in range(6):
         for j in range(6):
             for k in range(6):
                 C[i, j] += inverse[i, k] * scatter[k] * inverse[j, k]
     if not cholesky_in_place(C):
         return False, inverse
-    error(R, t, R_measured, t_measured, right[:, 0])
+    error(R, t, measured.R, measured.t, right[:, 0])
     forward_in_place(C, right)
     forward_in_place(C, inverse)
     for i in range(6):
@@ -184,13 +195,14 @@ def row(R, t, p, R_measured, t_measured, covariance, scatter, right, J):
 
 
 @njit(cache=True)
-def rows(commands, R, t, p, R_measured, t_measured, covariance, scatter, common, right, J):
-    """All poses' whitened rows: right (n, 6, 1 + c), J (n, 6, 42); R, t (n, ..) start near the predicted poses and become them.
+def rows(commands, R, t, p, measured, scatter, right, J):
+    """All poses' whitened rows, as `row` has them: right (n, 6, 1 + k), J (n, 6, 42); R, t (n, ..) start near the predicted poses and
+    become them.
 
-    commands : (n, 6) m; common : (n, 6, c) tangent. Returns the first pose that has no solution or no covariance, or -1
+    commands : (n, 6) m; measured : Measured, of n poses. Returns the first pose that has no solution or no covariance, or -1
     """
     for i in range(len(commands)):
-        right[i, :, 1:] = common[i]
-        if not pose_of(commands[i], p, R[i], t[i]) or not row(R[i], t[i], p, R_measured[i], t_measured[i], covariance[i], scatter, right[i], J[i])[0]:
+        one = Measured(measured.R[i], measured.t[i], measured.covariance[i])
+        if not pose_of(commands[i], p, R[i], t[i]) or not row(R[i], t[i], p, one, scatter, right[i], J[i])[0]:
             return i
     return -1

@@ -93,9 +93,9 @@ class Loops:
         """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle; prior : (42,) m, its width"""
         self.prior, self.samples, self.lengths, self.nominal = prior, samples, np.ascontiguousarray(lengths, float), nominal
         measured, home = samples.T_base_platform.as_matrix(), nominal.home.as_matrix()
-        self.R_measured, self.t_measured = np.ascontiguousarray(measured[:, :3, :3]), np.ascontiguousarray(measured[:, :3, 3])
+        self.measured = closed_loop.Measured(*(np.ascontiguousarray(part, float) for part in (measured[:, :3, :3], measured[:, :3, 3],
+                                                                                              samples.covariance)))
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
-        self.covariance, self.common = (np.ascontiguousarray(part, float) for part in (samples.covariance, samples.common))
 
     def fit(self, start, inliers, scatter):
         """least_squares.Fit from parameters start (42,). inliers : (n,) bool; scatter : (6,) m"""
@@ -103,9 +103,10 @@ class Loops:
 
     def linearise(self, p, scatter):
         """least_squares.Linear at parameters p (42,). Raises RigError naming the first pose that has no solution there."""
-        right, J = np.empty((len(self.lengths), 6, 1 + self.common.shape[2])), np.zeros((len(self.lengths), 6, 42))
-        bad = closed_loop.rows(self.lengths, self.R, self.t, p, self.R_measured, self.t_measured, self.covariance, scatter**2, self.common,
-                               right, J)
+        common = self.samples.common
+        right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
+        right[..., 1:] = common
+        bad = closed_loop.rows(self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J)
         if bad >= 0:
             raise RigError(f"frame {self.samples.frame[bad]}: the commanded lengths {self.lengths[bad].round(6).tolist()} m close on no pose, "
                            "or its covariance is none")
@@ -115,8 +116,8 @@ class Loops:
         """(n, 6) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, 6, 6) m^2 from the poses'."""
         T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
         A = mechanism.jacobian(T, geometry)
-        left = self.lengths - mechanism.inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.common, found.shared)
-        return left, A @ self.covariance @ np.swapaxes(A, 1, 2)
+        left = self.lengths - mechanism.inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
+        return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
 def loop_jacobian(T_base_platform, hexapod):

@@ -1,4 +1,4 @@
-"""What jumped, by likelihood ratio: a strut's length, a strut's joint, several struts, or the measuring frame.
+"""What changed, by likelihood ratio, docs/mathematics.md (23): a strut's length, a strut's joint, several struts, or the measuring frame.
 
 Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and what it
 leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose decides.
@@ -55,8 +55,8 @@ class Evidence:
     single: np.ndarray
 
 
-def judge(evidence):
-    """Changes (a tuple, empty where there are none) that the last poses bear out. evidence : Evidence of the last 1, 2, .. poses."""
+def changes(evidence: list[Evidence]) -> tuple[Change, ...]:
+    """Changes that the last poses bear out, none where nothing changed. evidence : Evidence of the last 1, 2, .. poses."""
     for hypothesis in (_strut, _joint, _several):
         found = hypothesis(evidence)
         if found is not None:
@@ -64,9 +64,10 @@ def judge(evidence):
     return ()
 
 
-def _strut(evidence):
+def _strut(evidence: list[Evidence]) -> tuple[Change, ...] | None:
     """One strut by the same at every pose; () where the last pose alone tells it best, so that the next one decides."""
-    best, found = 0.0, None
+    best: float = 0.0
+    found: tuple[Change, ...] | None = None
     for poses, e in enumerate(evidence, 1):
         z = e.projected[:6] / np.sqrt(np.maximum(np.diag(e.gram)[:6], 1e-300))
         i = int(np.argmax(np.abs(z)))
@@ -80,9 +81,10 @@ def _strut(evidence):
     return found or None
 
 
-def _joint(evidence):
+def _joint(evidence: list[Evidence]) -> tuple[Change, ...] | None:
     """One strut by amounts that differ."""
-    best, found = 0.0, None
+    best: float = 0.0
+    found: tuple[Change, ...] | None = None
     for poses, e in list(enumerate(evidence, 1))[1:]:
         squares = (e.single[:, 0] ** 2 / np.maximum(e.single[:, 1], 1e-300)).sum(axis=0)
         i = int(np.argmax(squares))
@@ -93,7 +95,7 @@ def _joint(evidence):
     return found
 
 
-def _several(evidence):
+def _several(evidence: list[Evidence]) -> tuple[Change, ...] | None:
     """Several struts at once, or the frame; None while either may be."""
     for poses, e in list(enumerate(evidence, 1))[1:]:
         if e.total < MOVED[6]:

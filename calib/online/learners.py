@@ -30,8 +30,8 @@ class _Learner:
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
         x, covariance = np.asarray(x, float), np.ascontiguousarray(covariance, float)
-        R_measured, t_measured = np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3])
-        if not closed_loop.pose_of(x, p, R, t) or not closed_loop.row(R, t, p, R_measured, t_measured, covariance, NO_SCATTER, right, J)[0]:
+        measured = closed_loop.Measured(np.ascontiguousarray(matrix[:3, :3]), np.ascontiguousarray(matrix[:3, 3]), covariance)
+        if not closed_loop.pose_of(x, p, R, t) or not closed_loop.row(R, t, p, measured, NO_SCATTER, right, J)[0]:
             raise RigError(f"the commanded lengths {x.round(6).tolist()} m close on no pose, or its covariance is none")
         return right[:, 0], J
 

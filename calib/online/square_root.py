@@ -1,23 +1,54 @@
 """One pose into a square-root information filter, compiled: the triangle, the estimate, and what a jump would have looked like.
 
 The state is a triangle [R | z | signatures]: R dp = z about the present estimate, moved so that z is zero. A pose adds six whitened
-rows; Householder reflections bring the triangle back, and what they leave in the rows is the whitened innovation. A column of
-signatures, carried along, leaves there what a jump since a given pose would add to it, less what the parameters
-would have made of it: their inner products are the likelihood ratio of the jump. Source: Bierman, Factorization Methods for
+rows; Householder reflections bring the triangle back, and what they leave in the rows is the whitened innovation, docs/mathematics.md (22).
+A column of signatures, carried along, leaves there what a change since a given pose would add to it, less what the parameters
+would have made of it: their inner products are the likelihood ratio of the change, (23). Source: Bierman, Factorization Methods for
 Discrete Sequential Estimation, 1977; Willsky and Jones, IEEE Trans. Automatic Control 21, 1976 (the ratio).
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from calib.identify.closed_loop import pose_of, row
+from calib.identify.closed_loop import Measured, pose_of, row
 from calib.online.change_detection import JUMP, MOVED
 
-WINDOW = 3  # poses within which a jump must show
+WINDOW = 3  # poses within which a change must show
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base
 REFUSED, QUIET, ALARM = 0, 1, 2  # what `learn` says
-LEAST = MOVED[2]  # innovations squared below which no hypothesis of calib/online/change_detection.py but a strut's can hold
+LEAST = MOVED[2]  # innovations squared below which no hypothesis of change_detection.py but a strut's can hold
 SUMS = 1 + KINDS + KINDS * KINDS + 1  # per onset: innovation squared, its products with the signatures, the signatures' own, poses
+
+
+class Pose(NamedTuple):
+    """One pose to learn. number : from 0; command : (6,) m; R : (3, 3) and t : (3,) m, measured; covariance : (6, 6) tangent on the right;
+    common : (6, c) factor of the errors that all poses share."""
+
+    number: int
+    command: np.ndarray
+    R: np.ndarray
+    t: np.ndarray
+    covariance: np.ndarray
+    common: np.ndarray
+
+
+class Machine(NamedTuple):
+    """What does not change. home : (4, 4), where forward kinematics starts; variance : (6,) m^2 of each strut beyond the poses' covariance."""
+
+    home: np.ndarray
+    variance: np.ndarray
+
+
+class Estimate(NamedTuple):
+    """What the poses so far tell. p : (42,) m, parameters; s : (c,) shared draw; S : (c + 42, c + 43 + KINDS WINDOW) triangle, about p and s;
+    sums : (WINDOW, SUMS), of the onset that began at each of the last poses."""
+
+    p: np.ndarray
+    s: np.ndarray
+    S: np.ndarray
+    sums: np.ndarray
 
 
 @njit(cache=True)
@@ -85,30 +116,27 @@ def follow(p, s, S):
 
 
 @njit(cache=True)
-def learn(command, R_measured, t_measured, covariance, common, scatter, home, p, s, S, sums, slot, innovation, move):
-    """One pose into the state, in place. Returns REFUSED where the command closes on no pose near home or something is not regular;
-    then nothing changed. Else ALARM where something may have jumped, or QUIET.
+def learn(pose, machine, estimate, slot, innovation, move):
+    """One pose into the estimate, in place. Returns REFUSED where the command closes on no pose near home or something is not regular;
+    then nothing changed. Else ALARM where something may have changed, or QUIET.
 
-    command : (6,) m; covariance : (6, 6); common : (6, c) tangent; scatter : (6,) m^2; home : (4, 4)
-    p : (42,) parameters; s : (c,) shared draw; S : (c + 42, c + 43 + KINDS WINDOW) triangle; sums : (WINDOW, SUMS)
-    slot : the onset that begins with this pose; innovation : (6,) gets the whitened innovation
-    move : whether the estimate follows at once; otherwise z gathers, all poses about the same estimate
+    pose : Pose; machine : Machine; estimate : Estimate; slot : the onset that begins with this pose
+    innovation : (6,) gets the whitened innovation; move : whether the estimate follows at once; otherwise z gathers, all poses about one p
     """
+    p, s, S, sums = estimate.p, estimate.s, estimate.S, estimate.sums
     c = len(s)
     k = c + 42
-    R, t = home[:3, :3].copy(), home[:3, 3].copy()
-    if not pose_of(command, p, R, t):
+    R, t = machine.home[:3, :3].copy(), machine.home[:3, 3].copy()
+    if not pose_of(pose.command, p, R, t):
         return REFUSED
     right, J, motion = np.empty((6, 7 + c)), np.zeros((6, 42)), np.empty((6, 6))
     frame_motion(R, t, motion)
-    right[:, 1 : 1 + c] = common
+    right[:, 1 : 1 + c] = pose.common
     right[:, 1 + c :] = motion
-    well, struts = row(R, t, p, R_measured, t_measured, covariance, scatter, right, J)
+    well, struts = row(R, t, p, Measured(pose.R, pose.t, pose.covariance), machine.variance, right, J)
     if not well:
         return REFUSED
-    S[:, k + 1 + KINDS * slot : k + 1 + KINDS * (slot + 1)] = 0.0
-    sums[slot] = 0.0
-    sums[slot, -1] = 1e-9  # begun
+    begin(S, sums, slot)
     rows = np.zeros((6, S.shape[1]))
     rows[:, :c] = right[:, 1 : 1 + c]
     rows[:, c:k] = J
@@ -123,6 +151,24 @@ def learn(command, R_measured, t_measured, covariance, common, scatter, home, p,
             rows[:, at + 6 : at + 12] = right[:, 1 + c :]
     absorb(S, rows)
     innovation[:] = rows[:, k]
+    gather(rows, k, sums)
+    if move:
+        follow(p, s, S)
+    return ALARM if suspicious(sums) else QUIET
+
+
+@njit(cache=True)
+def begin(S, sums, slot):
+    """An onset begins in a slot: its columns of the triangle S and its sums are nothing yet."""
+    at = S.shape[0] + 1 + KINDS * slot
+    S[:, at : at + KINDS] = 0.0
+    sums[slot] = 0.0
+    sums[slot, -1] = 1e-9  # begun
+
+
+@njit(cache=True)
+def gather(rows, k, sums):
+    """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column k."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:
             at = k + 1 + KINDS * w
@@ -134,13 +180,16 @@ def learn(command, R_measured, t_measured, covariance, common, scatter, home, p,
                     for b in range(KINDS):
                         sums[w, 1 + KINDS + KINDS * a + b] += rows[i, at + a] * rows[i, at + b]
             sums[w, -1] += 1.0
-    if move:
-        follow(p, s, S)
+
+
+@njit(cache=True)
+def suspicious(sums):
+    """Whether any onset's sums (WINDOW, SUMS) leave room for a change."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:
             if sums[w, 0] > LEAST:
-                return ALARM
+                return True
             for a in range(6):
                 if sums[w, 1 + a] ** 2 > JUMP**2 * sums[w, 1 + KINDS + (KINDS + 1) * a]:
-                    return ALARM
-    return QUIET
+                    return True
+    return False

@@ -1,6 +1,8 @@
 """One pose at a time: the batch's optimum, what jumps, what is merely wrong, and restarts."""
 
+import gc
 import json
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -175,6 +177,16 @@ def test_what_is_no_state_is_refused(tmp_path, text, says):
         Online.load(tmp_path / "s.json")
     with pytest.raises(FileError, match="no such file"):
         Online.load(tmp_path / "typo.json")
+
+
+def test_a_long_run_keeps_no_old_states(design):
+    """Going back takes the last few states; the ones before are let go, or a day of poses would fill the memory."""
+    poses = stream(design, 4, 140)
+    learner, _ = learnt(design, replace(poses, commands=poses.commands[:130], T=poses.T[:130]))
+    old = weakref.ref(learner.state.estimate.S)
+    learner, _ = learnt(design, replace(poses, commands=poses.commands[130:], T=poses.T[130:]), learner)
+    gc.collect()
+    assert old() is None
 
 
 @pytest.mark.parametrize(("key", "value", "says"), [
