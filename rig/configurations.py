@@ -72,4 +72,5 @@ def _shifted(mechanism, axis, step):
 
 
 def scaled(strokes, unit, fill):
+    """(count, axes) configurations (m or rad) of numbers -1..1 (count, axes), which span the middle `fill` of the strokes (axes, 2)."""
     return strokes.mean(axis=1) + fill * np.ptp(strokes, axis=1) / 2 * unit

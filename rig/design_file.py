@@ -12,7 +12,7 @@ from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator
                         MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
-from rig.outside import read_text, shown
+from rig.outside import read_text
 from rig.pose import vector
 from rig.singular import singular
 from rig.toml_positions import positions
@@ -196,7 +196,8 @@ def _source(table):
     """What a camera is opened by, "KIND:PLACE", or None."""
     source = table.text("source", default=None)
     if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
-        table.fail(f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of {", ".join(SOURCES)}, not {source!r}', "source", value=source)
+        table.fail(f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of {", ".join(SOURCES)}, not {source!r}', "source",
+                   value=source)
     return source
 
 

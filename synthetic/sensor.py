@@ -12,8 +12,8 @@ def expose(radiance, sensor, rng, samples=1):
     """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32 0..1.
 
     sensor : rig.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act on the finer picture,
-    before pixels take their means: a blur that steps from pixel to pixel has corners of its own. The variance of a pixel is read_noise^2 + light / electrons, in grey
-    levels of 255, before it is rounded (EMVA Standard 1288, the linear camera model).
+    before pixels take their means: a blur that steps from pixel to pixel has corners of its own. The variance of a pixel is
+    read_noise^2 + light / electrons, in grey levels of 255, before it is rounded (EMVA Standard 1288, the linear camera model).
     """
     if sensor.defocus:
         radiance = cv2.filter2D(radiance, cv2.CV_32F, _disc(sensor.defocus * samples), borderType=cv2.BORDER_REPLICATE)

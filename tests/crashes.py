@@ -61,7 +61,7 @@ class Command:
     """`rig` with some words in a folder, as a process of its own that is forked from this one, so that importing takes no time."""
 
     def __init__(self, folder: Path, words: list[str]) -> None:
-        self._said, self.error = tempfile.TemporaryFile(), ""  # what it says on the error output, once it has ended
+        self._said, self.error = tempfile.TemporaryFile(), ""  # noqa: SIM115  (what it says on the error output, once it has ended)
         self.pid = os.fork()
         if not self.pid:
             status = 99
@@ -72,7 +72,7 @@ class Command:
                 nothing = os.open(os.devnull, os.O_RDWR)
                 for descriptor, to in ((0, nothing), (1, nothing), (2, self._said.fileno())):
                     os.dup2(to, descriptor)
-                sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
+                sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
                 status = cli.main(words)
             except BaseException:
                 traceback.print_exc()

@@ -2,7 +2,6 @@
 
 import io
 import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,7 +66,8 @@ def looked(design, stop_on, displays=()):
         goal = planned[frame + 1].goal
         looking.happened(Departure(clock.now(), frame + 1, tuple(goal), tuple(goal)))
         looking.happened(Exposed(clock.now(), frame + 1, frame, (0.0,), ("cam0",), ("a.png",)))
-        looking.seen(Shot(frame, frame + 1, clock.now(), goal, {c.name: Frame(np.zeros((48, 64), np.uint8), clock.now(), 1e-3) for c in design.cameras}))
+        looking.seen(Shot(frame, frame + 1, clock.now(), goal,
+                          {c.name: Frame(np.zeros((48, 64), np.uint8), clock.now(), 1e-3) for c in design.cameras}))
     looking.finish()
     return looking, halts, notes
 

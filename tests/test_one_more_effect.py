@@ -43,8 +43,10 @@ class ToyTide(Effect):
         return Covariate(motion.t / 600 % 1, "tide, turns")
 '''
 RIGS = {"planar2": '[mechanism]\nkind = "planar2"\nbase_joints = [[0.0, 0.0], [1.0, 0.0]]\nstrut_range = [[0.6, 1.2], [0.6, 1.2]]\n',
-        "arm": '[mechanism]\nkind = "arm"\njoints = [[0.0, 0.13, 0.0, 1.5708], [0.0, 0.0, -0.61, 0.0], [0.0, 0.0, -0.57, 0.0], [0.0, 0.16, 0.0, 1.5708], '
-               '[0.0, 0.12, 0.0, -1.5708], [0.0, 0.09, 0.0, 0.0]]\nlimits = [[-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5]]\n'}
+        "arm": '[mechanism]\nkind = "arm"\njoints = [[0.0, 0.13, 0.0, 1.5708], [0.0, 0.0, -0.61, 0.0], [0.0, 0.0, -0.57, 0.0], [0.0, 0.16, 0.0, '
+               '1.5708], '
+               '[0.0, 0.12, 0.0, -1.5708], [0.0, 0.09, 0.0, 0.0]]\nlimits = [[-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, 2.5], [-2.5, '
+               '2.5]]\n'}
 INSTRUMENT = '[instrument]\nbase = "{0}"\ntool = "{0}"\nposition_sigma = 2e-5\nrotation_sigma = 1e-4\n'
 PLACES = {"hexapod": ("strut 2", "2e-4"), "planar2": ("strut 2", "2e-4"), "arm": ("joint 2", "2e-3")}
 

@@ -174,4 +174,5 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(dispersion(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return claimed(workspace, draws, each, each.common.shape[2] > 0, rng, distinct=len(each), determined=told, better=told, unknowns=asked, tolerance=tolerance)
+    return claimed(workspace, draws, each, each.common.shape[2] > 0, rng, distinct=len(each), determined=told, better=told, unknowns=asked,
+                   tolerance=tolerance)

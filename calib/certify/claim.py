@@ -31,7 +31,8 @@ EDGES = (0.5, 0.025, 0.975)
 @dataclass(frozen=True, slots=True)
 class Claim:
     """distinct : configurations recorded; determined : combinations, of `unknowns`, that the poses tell at all (of a hexapod: to 5 mm);
-    better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words; workspace : what is meant, in words
+    better : those that they tell better than the owner's figures are good; tolerance : how good these are, in words
+    workspace : what is meant, in words
     before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
     95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
     low, high), None where no factor is claimed; reason : why none is, or None

@@ -76,8 +76,9 @@ def _mistakes(reached: Reached) -> Iterator[Mistake]:
     if left < BETTER * before:
         yield Mistake(f"{what}: {said} as it stands, by {left / before:.1%} of that so", do, True, LIKELY * (1 - left / before))
     else:
-        yield Mistake(f"{said}, and no usual mistake explains it", "Look at the joints' zeros, signs and order, at mechanism.joints, and at whether poses "
-                      "and commands belong together", bool(before > 10 * AWAY[0]), 0.3)
+        yield Mistake(f"{said}, and no usual mistake explains it",
+                      "Look at the joints' zeros, signs and order, at mechanism.joints, and at whether poses and commands belong together",
+                      bool(before > 10 * AWAY[0]), 0.3)
 
 
 def _candidates(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
@@ -109,7 +110,8 @@ def _axes(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
         for by in (90, -90, 180, 45, -45, 30, -30):
             moved = q.copy()
             moved[:, j] += np.radians(by)
-            yield (f"commands.csv: joint {j + 1} has another zero, {abs(by)} degrees off (offset)", f"Add {by} degrees to it, or mend theta in rig.toml",
+            yield (f"commands.csv: joint {j + 1} has another zero, {abs(by)} degrees off (offset)",
+                   f"Add {by} degrees to it, or mend theta in rig.toml",
                    replace(reached, q=moved))
         single = q.copy()
         single[:, j] = np.radians(single[:, j])
@@ -117,10 +119,11 @@ def _axes(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
     for i, j in combinations(range(n), 2):
         order = list(range(n))
         order[i], order[j] = j, i
-        yield f"commands.csv: joints {i + 1} and {j + 1} are exchanged (order)", "Put the columns in the order of the joints", replace(reached, q=q[:, order])
+        yield (f"commands.csv: joints {i + 1} and {j + 1} are exchanged (order)", "Put the columns in the order of the joints",
+               replace(reached, q=q[:, order]))
     yield "commands.csv: the joints are in reverse order", "Put the columns in the order of the joints", replace(reached, q=q[:, ::-1])
     for by in (1, n - 1):
-        yield (f"commands.csv: the joints' columns are shifted by one (order)", "Put the columns in the order of the joints",
+        yield ("commands.csv: the joints' columns are shifted by one (order)", "Put the columns in the order of the joints",
                replace(reached, q=np.roll(q, by, axis=1)))
 
 

@@ -1,6 +1,7 @@
 """What a run works with, from a rig.toml: cameras opened and exposed well, sensors, how images are put on disk, how a move goes in time."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -81,7 +82,7 @@ def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> lis
         elif stated is not None:
             said.append(f"camera {source.name!r}: exposure {source.set_exposure(stated) * 1e3:.3g} ms")
         else:
-            exposure, level = expose_well(source, lambda image, camera=design.camera(source.name): white(image, camera, markers), START)
+            exposure, level = expose_well(source, partial(white, camera=design.camera(source.name), markers=markers), START)
             said.append(f"camera {source.name!r}: exposure {exposure * 1e3:.3g} ms, markers' white at {level:.0f} of 255")
     return said
 

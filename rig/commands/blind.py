@@ -146,7 +146,8 @@ def _diagnosed(out, index):
     (target / "diagnosis.json").unlink(missing_ok=True)
     record.unlink(missing_ok=True)
     start = time.monotonic()
-    command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out", target, "--force"]
+    command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out",
+               target, "--force"]
     done = finished(command, _environment())
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:

@@ -1,7 +1,6 @@
 """rig calibrate REC --out calibration.json."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from rig.commands import checking
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved

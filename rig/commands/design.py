@@ -1,6 +1,5 @@
 """rig design --radius R --out rig.toml."""
 
-from pathlib import Path
 
 from rig.commands.output import add_force, file_or_stdout
 

@@ -15,7 +15,8 @@ def arguments(parser):
     parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
-    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN", help="of genhexkins: share of the cardans' twist that turns the screws")
+    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
+                        help="of genhexkins: share of the cardans' twist that turns the screws")
     parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
     add_force(parser)
@@ -32,7 +33,8 @@ def run(arguments):
         raise RigError(f"--coupling takes the screws' lead, m per revolution: give --lead, since {arguments.machine} does not state it"
                        + (" ([actuator] screw_lead)" if arguments.machine.suffix == ".toml" else " (a rig.toml may, as [actuator] screw_lead)"))
     if not -10 <= arguments.coupling <= 10 or (lead is not None and not 0 < lead <= 1):
-        raise RigError(f"--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not {arguments.coupling:g} and {lead:g}"
+        raise RigError(f"--coupling is a share between -10 and 10 and --lead is in metres, above 0 and at most 1, not {arguments.coupling:g} and "
+                       f"{lead:g}"
                        if lead is not None else f"--coupling is a share between -10 and 10, not {arguments.coupling:g}")
     kinds = FORMATS[arguments.format]
     if mechanism.kind not in kinds:

@@ -17,7 +17,6 @@ def arguments(parser):
 
 def run(arguments):
     """Hold the measuring limbs against vision, say whether they pass, and learn from them where they do."""
-
     if min(*arguments.tolerance, arguments.check) <= 0:
         raise RigError("--tolerance and --check take positive numbers")
     recording = read_recording(arguments)

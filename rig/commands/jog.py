@@ -1,7 +1,14 @@
 """rig jog RIG.toml --strut N --by MM, or --to L1,L2,.."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from rig.commands.output import add_driving
 from rig.errors import PositionLost, RigError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def arguments(parser):
@@ -40,7 +47,7 @@ def run(arguments):
         print_status(driver.status(), design)
 
 
-def _lengths(text: str, count: int) -> "np.ndarray":
+def _lengths(text: str, count: int) -> np.ndarray:
     """(count,) m of lengths in mm joined by commas."""
     import numpy as np
 

@@ -69,7 +69,8 @@ def run(arguments):
 
 def _print_verdict(measured, held, uncertainties, total):
     """Print how much was measured and how well, the rest follows."""
-    print(f"measured: {len(measured.frames)} of {total} frames solved, poses to {uncertainties[0] * 1e3:.4f} mm and {uncertainties[1] * 1e3:.4f} mrad "
+    print(f"measured: {len(measured.frames)} of {total} frames solved, poses to {uncertainties[0] * 1e3:.4f} mm and {uncertainties[1] * 1e3:.4f} "
+          "mrad "
           "(standard uncertainty, RMS)")
     print(f"corners scatter by {measured.noise:.4f} px; {measured.inliers.sum()} of {len(measured.inliers)} used")
     print(f"held-out frames: residuals {held.ratio:.3f} +- {2 * held.scatter:.3f} of what the covariance predicts, "

@@ -22,7 +22,6 @@ def arguments(parser):
 
 def run(arguments):
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
-
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording = read_recording(arguments)
@@ -97,7 +96,8 @@ def not_learnt(recording: "Recording", of: "Marks", learnt: set[str]) -> list[in
 
     frames, again = recording.exposures.times()[0], shared(of, learnt)
     if len(again) == len(of) > 0:
-        raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count twice")
+        raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count "
+                       "twice")
     if again:
         print(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
     return [frame for frame in frames.tolist() if frame not in set(again)]

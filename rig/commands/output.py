@@ -74,7 +74,8 @@ def file_or_stdout(text: str) -> Path:
 
 def add_force(parser: ArgumentParser, name: str = "--force") -> None:
     """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
-    parser.add_argument(name, dest="overwrite", action="store_true", help="write over what this command did not make; what it reads it never writes over")
+    parser.add_argument(name, dest="overwrite", action="store_true",
+                        help="write over what this command did not make; what it reads it never writes over")
 
 
 def add_driving(parser: ArgumentParser) -> None:
@@ -99,7 +100,8 @@ def print_comparison(held, title):
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
     rotation = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
-    print(f"on these poses {held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses themselves are "
+    print(f"on these poses {held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses "
+          "themselves are "
           f"uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
 
 

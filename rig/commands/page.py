@@ -120,7 +120,8 @@ def _rig(design: Design, fixed: list[dict], T: RigidTransform | None) -> dict:
     if m.kind == "hexapod":
         T = m.home if T is None else T
         top = T.apply(m.platform_joints)
-        parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]} for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
+        parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
+                  for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
         parts += [{"kind": "plate", "points": [*ring.tolist(), ring[0].tolist()]} for ring in (m.base_joints, top)]
         middle = (m.home.translation / 2).tolist()
     if design.targets and T is not None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import signal
+from argparse import Namespace
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +13,15 @@ from typing import TYPE_CHECKING
 from rig.commands.output import SEED, add_driving
 from rig.errors import RigError
 from rig.files import write_bytes
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from rig.cameras.settled import Settling
+    from rig.clock import Clock
+    from rig.design import Design
+    from rig.journal import Began, Journal
+    from rig.steps import Step
 
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
@@ -33,7 +44,8 @@ def arguments(parser):
     parser.add_argument("--tolerance", nargs=2, type=float, metavar=("M", "RAD"), help="drift from the calibration that is said")
     parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
     parser.add_argument("--no-measure", action="store_true", help="take images only")
-    parser.add_argument("--page", nargs="?", type=int, const=0, metavar="PORT", help="show the run on a page of this computer, with a button to stop it")
+    parser.add_argument("--page", nargs="?", type=int, const=0, metavar="PORT",
+                        help="show the run on a page of this computer, with a button to stop it")
 
 
 def run(arguments):

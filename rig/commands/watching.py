@@ -16,7 +16,8 @@ def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looki
     """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
     calibration = store.load(arguments.calibration) if arguments.calibration else None
     if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
-        raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is {design.mechanism.kind!r}")
+        raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is "
+                       f"{design.mechanism.kind!r}")
     measured = not arguments.no_measure and any(target.body == "platform" for target in design.targets)
     learner = None
     if measured and design.mechanism.kind == "hexapod":

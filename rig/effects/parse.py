@@ -85,7 +85,8 @@ def from_dict(tree: dict) -> Effect:
 def _named(name: str, text: str) -> type[Effect]:
     if name not in BY_NAME:
         near = slip(name, BY_NAME)
-        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}{f'; is {near!r} meant?' if near else ''}; there are {', '.join(BY_NAME)}")
+        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}{f'; is {near!r} meant?' if near else ''}; there are "
+                       f"{', '.join(BY_NAME)}")
     return BY_NAME[name]
 
 

@@ -23,7 +23,8 @@ MODAL = ("G0", "G1", "G20", "G21", "G90", "G91", "G94", "G54", "G17", "G61", "G8
 class GrblHAL(Emulator):
     """axes : letters; limits : (n, 2) m of the counters; settings : numbers as $$ lists them, on top of the usual"""
 
-    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: str, limits: np.ndarray, settings: dict[int, float] | None = None) -> None:
+    def __init__(self, machine: Machine, faults: Faults, clock: Clock, axes: str, limits: np.ndarray,
+                 settings: dict[int, float] | None = None) -> None:
         super().__init__(machine, faults, clock)
         self.axes, self.limits = axes, np.asarray(limits, float)
         n = len(axes)

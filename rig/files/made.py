@@ -69,7 +69,8 @@ def load(folder: Path) -> Made:
     except (FileNotFoundError, NotADirectoryError):
         return Made()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileError(path, f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is nobody's, delete it") from None
+        raise FileError(path,
+                        f"is no manifest of what was made in its folder ({type(error).__name__}: {error}); where it is nobody's, delete it") from None
 
 
 def complete(folder: Path) -> None:

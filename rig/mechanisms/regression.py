@@ -20,16 +20,19 @@ REACHED, OFF_AXIS, TOO_FAR, TOO_NEAR, TURNED_AWAY = 0, 1, 2, 3, 4
 
 @njit(cache=True, error_model="numpy")
 def row(m, i):
+    """Row i of a matrix (n, 3)."""
     return m[i, 0], m[i, 1], m[i, 2]
 
 
 @njit(cache=True, error_model="numpy")
 def dot(a, b):
+    """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True, error_model="numpy")
 def cross(a, b):
+    """Vector product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 

@@ -81,8 +81,8 @@ def pace(t: np.ndarray, values: np.ndarray, frames: np.ndarray, unit: str, top: 
             factor = (top or np.sqrt(low * high)) / fastest
             named = min((n for n in UNITS), key=lambda n: abs(np.log(factor / UNITS[n])))
             near = abs(np.log(factor / UNITS[named])) < np.log(30.0)
-            yield Mistake(f"commands.csv: times are not in seconds{f' but look like {named}' if near else ''}: the axes move by {fastest:.3g} {unit}/s, "
-                          f"and {against}", f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})" if near else
+            yield Mistake(f"commands.csv: times are not in seconds{f' but look like {named}' if near else ''}: the axes move by {fastest:.3g} "
+                          f"{unit}/s, and {against}", f"State t in seconds in all files ({named}: divide by {UNITS[named]:g})" if near else
                           "Look at the column t, or at the unit of the lengths or angles", proof=0.8, spoils=False)
             return
     gaps = np.diff(np.unique(frames))

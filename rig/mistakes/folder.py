@@ -75,6 +75,7 @@ def pixels(recording: Recording) -> Iterator[Mistake]:
             yield Mistake(f"corners.csv: u and v are exchanged in camera {camera.name}, or width and height are in rig.toml: {outside:.0%} of the "
                           f"corners lie outside {w} x {h} px, none outside {h} x {w}", "u runs to the right along the width, v down", True, 0.85)
         else:
-            yield Mistake(f"corners.csv: corners of camera {camera.name} are of another image size than {w} x {h} px: {outside:.0%} lie outside it, up "
-                          f"to u = {reach[0]:.0f}, v = {reach[1]:.0f}", "State width, height and matrix of the images that the corners were read from",
+            yield Mistake(f"corners.csv: corners of camera {camera.name} are of another image size than {w} x {h} px: {outside:.0%} lie outside it, "
+                          f"up to u = {reach[0]:.0f}, v = {reach[1]:.0f}",
+                          "State width, height and matrix of the images that the corners were read from",
                           True, 0.85)

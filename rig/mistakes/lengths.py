@@ -60,7 +60,8 @@ def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mi
         yield Mistake(f"commands.csv: {outside:.0%} of the lengths lie outside strut_range: {said}",
                       f"Look at the unit, at the zero and at strut_range; {advice}", True, 0.5)
     else:
-        yield Mistake(f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}", "Look at strut_range or at those rows", False, 0.3)
+        yield Mistake(f"commands.csv: some lengths ({outside:.1%}) lie outside strut_range: {said}", "Look at strut_range or at those rows", False,
+                      0.3)
 
 
 def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
@@ -69,6 +70,8 @@ def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
     if outside > 0 and _beyond(np.radians(q), limits) <= outside / 4 and np.abs(q).max() > 2.5 * np.pi:
         yield Mistake(f"commands.csv: joint angles are in degrees: {said}", "State them in radians", True, 0.95)
     elif outside > MUCH:
-        yield Mistake(f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}", "Look at their unit, zeros and limits", True, 0.5)
+        yield Mistake(f"commands.csv: {outside:.0%} of the joint angles lie outside the limits: {said}", "Look at their unit, zeros and limits", True,
+                      0.5)
     elif outside > 0:
-        yield Mistake(f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}", "Look at limits or at those rows", False, 0.3)
+        yield Mistake(f"commands.csv: some joint angles ({outside:.1%}) lie outside the limits: {said}", "Look at limits or at those rows", False,
+                      0.3)

@@ -135,7 +135,7 @@ def _struts(moves: Moves) -> Iterator[Candidate]:
         which = "all struts" if len(turned) == 6 else f"strut{'s' * (len(turned) > 1)} {', '.join(map(str, turned))}"
         yield f"commands.csv: {which} run with the sign reversed about home", "Turn the sign of their travel", replace(moves, q=q)
     home = kinematics.inverse(moves.mechanism.home, moves.mechanism)
-    for what, do, q in ((f"commands.csv: lengths are relative to home", "Add each strut's length at home", moves.q + home),
+    for what, do, q in (("commands.csv: lengths are relative to home", "Add each strut's length at home", moves.q + home),
                         ("commands.csv: lengths are in millimetres", "Divide them by 1000", moves.q / 1e3)):
         yield what, do, replace(moves, q=q)
     offset = np.median(L - moves.q, axis=0)
@@ -209,18 +209,21 @@ def _clocks(moves: Moves) -> Iterator[Candidate]:
     left = np.array([miss(by) for by in fine])
     best = float(fine[left <= 1.02 * left.min()].mean())  # within a dwell all are alike
     if abs(best) > LAG:
-        zone = f" ({round(abs(best) / QUARTER) / 2:g} hours: time zones?)" if abs(abs(best) / QUARTER - round(abs(best) / QUARTER)) * QUARTER < 5 and abs(
-            best) > 1000 else ""
+        quarters = abs(best) / QUARTER
+        zone = f" ({round(quarters) / 2:g} hours: time zones?)" if abs(quarters - round(quarters)) * QUARTER < 5 and abs(best) > 1000 else ""
         yield (f"frames.csv: the frames' clock is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
-               f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock", replace(moves, q=moves.at(t + best)))
+               f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock",
+               replace(moves, q=moves.at(t + best)))
 
 
 def _frames(moves: Moves) -> Iterator[Candidate]:
     """The same frames in another order: shifted by some, run backwards, two exchanged, sorted by name, shuffled."""
     last, do = len(moves.times) - 1, "Look at how images or poses were numbered: one missing or one too many at the start shifts all"
     for by in SHIFTS:
-        yield (f"frames.csv: the frames are shifted by {abs(by)}: frame k shows what was commanded for frame k {'+' if by > 0 else '-'} {abs(by)}", do,
-               _only(replace(moves, q=moves.at(moves.times[np.clip(moves.index + by, 0, last)])), (moves.index + by >= 0) & (moves.index + by <= last)))
+        yield (f"frames.csv: the frames are shifted by {abs(by)}: frame k shows what was commanded for frame k {'+' if by > 0 else '-'} {abs(by)}",
+               do,
+               _only(replace(moves, q=moves.at(moves.times[np.clip(moves.index + by, 0, last)])),
+                     (moves.index + by >= 0) & (moves.index + by <= last)))
     orders = {"in the order of their names as text (1, 10, 2)": np.array(sorted(range(last + 1), key=str)), "in reverse": np.arange(last + 1)[::-1]}
     for what, order in orders.items():
         yield (f"frames.csv: the frames are listed {what}", "List them in the order in which they were exposed",

@@ -38,8 +38,8 @@ def written(tree: dict) -> Iterator[Mistake]:
         found.append(("mechanism.home", float(np.linalg.norm(home))))
     if found:
         name, length = found[0]
-        yield Mistake(f"rig.toml: rotations are in degrees: rotvec of {name} is {length:.4g} long" + (f", and of {len(found) - 1} more" if len(found) > 1
-                                                                                                       else ""),
+        others = f", and of {len(found) - 1} more" if len(found) > 1 else ""
+        yield Mistake(f"rig.toml: rotations are in degrees: rotvec of {name} is {length:.4g} long{others}",
                       "State every rotvec in radians: axis times angle", True, 0.9)
 
 
@@ -71,8 +71,8 @@ def _matrix(camera: Camera) -> Iterator[Mistake]:
 def _lens(camera: Camera) -> Iterator[Mistake]:
     d = camera.distortion
     if np.abs(d[2:4]).max() > TANGENTIAL:
-        yield Mistake(f"rig.toml: camera {camera.name}: distortion is in another order: p1, p2 (the third and fourth) are ({d[2]:g}, {d[3]:g}), and no "
-                      "lens has such", "Write k1, k2, p1, p2, k3 (OpenCV's order; others put k3 before p1)", True, 0.7)
+        yield Mistake(f"rig.toml: camera {camera.name}: distortion is in another order: p1, p2 (the third and fourth) are ({d[2]:g}, {d[3]:g}), and "
+                      "no lens has such", "Write k1, k2, p1, p2, k3 (OpenCV's order; others put k3 before p1)", True, 0.7)
 
 
 def _arm(arm: Arm) -> Iterator[Mistake]:

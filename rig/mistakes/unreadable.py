@@ -34,8 +34,8 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     yield from stated.written(tree)
     for target in tree.get("target", []):
         if isinstance(target.get("marker"), float) and target["marker"] > target.get("edge", np.inf) and target["marker"] < 5:
-            yield Mistake(f"rig.toml: edge and marker are exchanged in target {target.get('name')}: a marker of {target['marker']:g} m is no part of a "
-                          f"cube of {target['edge']:g} m", "edge is the cube's, marker the outer side of its black border", True, 0.9)
+            yield Mistake(f"rig.toml: edge and marker are exchanged in target {target.get('name')}: a marker of {target['marker']:g} m is no part of "
+                          f"a cube of {target['edge']:g} m", "edge is the cube's, marker the outer side of its black border", True, 0.9)
             break
     m = tree.get("mechanism", {})
     if "home" in complaint and m.get("kind") == "hexapod":
@@ -55,7 +55,8 @@ def _home(m: dict) -> Iterator[Mistake]:
                   (f"strut_range is in {unit}", do, (at, base, platform, ranges * factor)),
                   (f"the position of home is in {unit}", do, (at * factor, base, platform, ranges))]
     number = "Number both as the struts"
-    tried += [(f"base_joints are numbered from another joint, by {k} on, than platform_joints", number, (at, np.roll(base, k, axis=0), platform, ranges))
+    tried += [(f"base_joints are numbered from another joint, by {k} on, than platform_joints", number,
+               (at, np.roll(base, k, axis=0), platform, ranges))
               for k in range(1, 6)]
     tried += [("base_joints are numbered the other way round than platform_joints", number, (at, np.roll(base[::-1], k, axis=0), platform, ranges))
               for k in range(6)]
@@ -106,7 +107,8 @@ def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
         return
     for by in (1, -1):
         if {number + by for number in ids} <= known:
-            yield Mistake(f"corners.csv: marker ids are off by one: they run from {min(ids)} to {max(ids)}, rig.toml's from {min(known)} to {max(known)}",
+            yield Mistake(f"corners.csv: marker ids are off by one: they run from {min(ids)} to {max(ids)}, rig.toml's from {min(known)} to "
+                          f"{max(known)}",
                           f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed", True, 0.9)
             return
     yield Mistake(f"corners.csv: {len(stray)} of {len(ids)} marker ids are none of rig.toml's: {', '.join(map(str, stray[:8]))}",
@@ -119,5 +121,5 @@ def _order(folder: Path, complaint: str) -> Iterator[Mistake]:
         frames = table.read(folder / "frames.csv", ("frame", "t"))
         number, t = frames.numbers("frame"), frames.numbers("t")
         back = int((np.diff(number) < 0).sum() + (np.diff(t) < 0).sum())
-        yield Mistake(f"frames.csv: its rows are in another order than time: at {back} places frame or t runs backwards (shuffled, sorted by name, or "
-                      "two recordings in one)", "Sort the rows by frame, so that t grows with it", True, 0.7)
+        yield Mistake(f"frames.csv: its rows are in another order than time: at {back} places frame or t runs backwards (shuffled, sorted by name, "
+                      "or two recordings in one)", "Sort the rows by frame, so that t grows with it", True, 0.7)

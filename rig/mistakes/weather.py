@@ -24,9 +24,11 @@ def sensors(log: Sensors, design: Design) -> Iterator[Mistake]:
     for name, values in warm.items():
         middle = float(np.median(values))
         if KELVIN[0] < middle < KELVIN[1]:
-            yield Mistake(f"sensors.csv: {name} is in Kelvin: {middle:.4g} in the middle", "Subtract 273.15; temperatures are in degrees Celsius", False, 0.9)
+            yield Mistake(f"sensors.csv: {name} is in Kelvin: {middle:.4g} in the middle", "Subtract 273.15; temperatures are in degrees Celsius",
+                          False, 0.9)
         elif middle < COLDEST or middle >= KELVIN[1]:
-            yield Mistake(f"sensors.csv: {name} = {middle:.4g} is no temperature in degrees Celsius", "Look at the channel's unit and wiring", False, 0.6)
+            yield Mistake(f"sensors.csv: {name} = {middle:.4g} is no temperature in degrees Celsius", "Look at the channel's unit and wiring",
+                          False, 0.6)
     room = log.channels.get("ambient_temperature_C")
     if room is not None and FAHRENHEIT[0] < np.median(room) < FAHRENHEIT[1]:
         yield Mistake(f"sensors.csv: ambient_temperature_C is in Fahrenheit: a room of {np.median(room):.4g} C is implausible, "

@@ -133,7 +133,8 @@ class LinuxCNC:
 
     def _greet(self) -> Dialogue[str]:
         """The server's name and version; a greeting may be said again, and whatever was sent before has been dealt with then."""
-        lines = yield from ask(f"HELLO {self._password} {CLIENT}\r\n".encode(), lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")))
+        lines = yield from ask(f"HELLO {self._password} {CLIENT}\r\n".encode(),
+                               lambda lines: lines[-1].strip().startswith(("HELLO ACK", "HELLO NAK")))
         if lines[-1].strip().startswith("HELLO NAK"):
             raise ControllerFault("the controller refuses the greeting; is [controller] password right?")
         return lines[-1].strip()[len("HELLO ACK "):]
@@ -142,7 +143,8 @@ class LinuxCNC:
         """What a question is answered with, without its word and in capitals where it is one word. Raises NoAnswer, ControllerFault."""
         whole = re.compile(rf"{word} (?:{pattern})", re.IGNORECASE)
         refused = f"GET {word} NAK"
-        lines = yield from ask(f"GET {word}\r\n".encode(), _either(lambda line: whole.fullmatch(line) or line.upper().startswith((refused, "GET NAK"))))
+        lines = yield from ask(f"GET {word}\r\n".encode(), _either(lambda line: whole.fullmatch(line)
+                                                                   or line.upper().startswith((refused, "GET NAK"))))
         answer = lines[-1].strip()
         if answer.upper().startswith((refused, "GET NAK")):
             raise ControllerFault(f"the controller does not answer GET {word}: {answer}")

@@ -58,7 +58,8 @@ def rows():
     known = [delay for frame, delay in delays.items() if frame >= TAUGHT[0] and frame not in TAUGHT]
     for figure, frames in (("cameras adjusted", known), ("images searched whole", [delays[frame] for frame in range(TAUGHT[0])]),
                            ("after an adjustment of the cameras", [delay for frame, delay in delays.items() if frame in TAUGHT])):
-        yield f"from exposure to pose and residuals on the page, {figure}: median, most", f"{np.median(frames):.3f} s, {max(frames):.3f} s", "<= 0.5 s"
+        yield f"from exposure to pose and residuals on the page, {figure}: median, most", \
+            f"{np.median(frames):.3f} s, {max(frames):.3f} s", "<= 0.5 s"
 
 
 def _run(folder):

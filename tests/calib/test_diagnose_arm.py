@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.select import select
-from calib.diagnose.problems.arm.candidates import Form, joint_candidates
+from calib.diagnose.problems.arm.candidates import joint_candidates
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
-from calib.diagnose.problems.arm.fit import fit
 from calib.diagnose.problems.arm.poses import arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.asked import Asked

@@ -55,7 +55,8 @@ def one(name: str, inputs: int, out: Path, seed: int) -> None:
         return mutated(data, reader.seeds, rng)[:most]
 
     confined().__enter__()  # until the process ends
-    atheris.Setup([sys.argv[0], f"-runs={inputs}", f"-max_len={LONGEST}", f"-seed={seed}", "-rss_limit_mb=0", "-timeout=60", "-verbosity=0", "-print_final_stats=1",
+    atheris.Setup([sys.argv[0], f"-runs={inputs}", f"-max_len={LONGEST}", f"-seed={seed}", "-rss_limit_mb=0", "-timeout=60", "-verbosity=0",
+                   "-print_final_stats=1",
                    str(corpus)], feed, custom_mutator=mutator)
     atheris.Fuzz()
 
@@ -79,7 +80,8 @@ def main(inputs: int, out: Path) -> int:
     status, fed = 0, 0
     for number, name in enumerate(names):
         count = int(inputs * SHARES.get(name, 1.0) / whole) + 1
-        done = subprocess.run([sys.executable, "-m", "tests.fuzz.campaign", name, str(count), str(out), str(number + 1)], capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-m", "tests.fuzz.campaign", name, str(count), str(out), str(number + 1)], capture_output=True,
+                              text=True)
         count = int(next(iter(re.findall(r"number_of_executed_units: +(\d+)", done.stderr)), 0))
         fed += count
         print(f"{name}: {count} inputs, exit status {done.returncode}", flush=True)

@@ -54,7 +54,8 @@ def refusing(path):
     raise RigError("no")
 
 
-@pytest.mark.parametrize(("read", "says"), [(spinning, "TooLong"), (lambda path: np.ones(1 << 28), "MemoryError"), (lambda path: int("x"), "ValueError"),
+@pytest.mark.parametrize(("read", "says"), [(spinning, "TooLong"), (lambda path: np.ones(1 << 28), "MemoryError"),
+                                            (lambda path: int("x"), "ValueError"),
                                             (refusing, None), (lambda path: None, None)])
 def test_what_a_reader_does_wrong_is_seen(tmp_path, read, says):
     with confined():

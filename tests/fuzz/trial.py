@@ -16,13 +16,15 @@ SECONDS = 1.0  # CPU time of a reader on one input, so that a busy machine makes
 BYTES = 1 << 30  # beyond what the process has when it begins
 LONGEST = 1 << 16  # bytes of an input
 TOKENS = tuple(t.encode("utf-8", "surrogateescape") for t in (
-    "1e308", "-1e308", "1e-400", "1e999", "nan", "-inf", "Infinity", "9" * 20, "9" * 5000, "0x" + "f" * 5000, "-1", "0", "1e15", "18446744073709551616",
+    "1e308", "-1e308", "1e-400", "1e999", "nan", "-inf", "Infinity", "9" * 20, "9" * 5000, "0x" + "f" * 5000, "-1", "0", "1e15",
+    "18446744073709551616",
     "\u00b2", "\u0661", "1_0", "true", "null", "{}", "[]", "[" * 400, "{\"a\":" * 400, "[[]]", "\"\"", "'", "\"", "\"\"\"", "\\u0000", "\0", "\udcff",
     "\ufeff", "../../x", "/dev/zero", "$\\bad$", "left cam", ",", ",,", "\n", "\r", "\r\n", "\u2028", "=", ":", "/", "#", "a" * 300, "x" * 40000,
     "1979-05-27", "07:32:00", "1e5", "0.0", "strut 0", "strut 9", "e", "E", "+", "1.", ".5", "NaN", "inf", "[[camera]]", "kind = \"arm\"\n", "\t"))
 
 
-VALUES = (None, True, 0, -1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 10**18, 10**30, 10**400, "", "x", "0", "\u00b2", "strut 9", "nothing", [], {},
+VALUES = (None, True, 0, -1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 10**18, 10**30, 10**400, "", "x", "0", "\u00b2", "strut 9", "nothing",
+          [], {},
           [[]], [0], [0] * 6, [[0] * 6] * 6, [0] * 42, {"a": 1}, [None] * 6, ["x"] * 6, 1e-300, 2**53 + 1, "\0", "../../x")
 KINDS = (0.08, 0.08, 0.08, 0.08, 0.55, 0.13)  # of changes: taken away, doubled, a byte, from another, a word, a word put in
 

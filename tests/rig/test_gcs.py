@@ -63,7 +63,8 @@ def test_a_controller_with_fewer_axes_is_refused():
 
 
 def test_older_controllers_count_in_mm():
-    script = [*hello()[:3], (b"PUN?\n", b""), IDENTITY, (b"ERR?\n", b"2\n"), hello()[4], (b"\x05", b"3F\n"), positions(1, 2, 3, 4, 5, 6), (b"ERR?\n", b"0\n")]
+    script = [*hello()[:3], (b"PUN?\n", b""), IDENTITY, (b"ERR?\n", b"2\n"), hello()[4], (b"\x05", b"3F\n"), positions(1, 2, 3, 4, 5, 6),
+              (b"ERR?\n", b"0\n")]
     state = talk(script, lambda p: p.state())
     assert state.activity == "moving"
     np.testing.assert_allclose(state.positions, np.arange(1, 7) / 1e3)

@@ -9,7 +9,8 @@ from rig.journal import Arrival, Began, Departure, Ended, Exposed, Journal, Read
 
 ROWS = [Began(0.0, 1.7e9, 2, "ab", (0.4,) * 6), Departure(1.0, 0, (0.4,) * 6, (0.41,) * 6),
         Arrival(2.5, 0, (0.41,) * 6, True, ((1.2, 0.1), (2.2, 0.9))), Exposed(3.0, 0, 0, (1e-3, 2e-3), ("cam0", "cam1"), ("a.png", "b.png")),
-        Readings(3.0, ("ambient_temperature_C",), (20.5,)), Remark(3.1, 'covered: "3", größer'), Resumed(9.0, (0.41,) * 6, "at its goal"), Ended(9.5, "")]
+        Readings(3.0, ("ambient_temperature_C",), (20.5,)), Remark(3.1, 'covered: "3", größer'), Resumed(9.0, (0.41,) * 6, "at its goal"),
+        Ended(9.5, "")]
 
 
 def write(path, rows):

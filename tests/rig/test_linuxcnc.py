@@ -18,13 +18,16 @@ POSITIONS = (b"GET JOINT_POS\r\n", b"JOINT_POS 475.851818 475.851818 475.851818 
 def hello(kind=b"4", units=b"MM"):
     return [(b"HELLO EMC rig 1.0\r\n", b"HELLO ACK EMCNETSVR 1.1\r\n"), (b"SET ECHO OFF\r\n", b"SET ECHO OFF\r\n"),
             (b"SET VERBOSE ON\r\n", b"SET VERBOSE ACK\n\r"), (b"SET ENABLE EMCTOO\r\n", b"SET ENABLE ACK\n\r"),
-            (b"GET KINEMATICS_TYPE\r\n", b"KINEMATICS_TYPE " + kind + b"\r\n"), (b"GET USER_LINEAR_UNITS\r\n", b"USER_LINEAR_UNITS " + units + b"\r\n"),
+            (b"GET KINEMATICS_TYPE\r\n", b"KINEMATICS_TYPE " + kind + b"\r\n"),
+            (b"GET USER_LINEAR_UNITS\r\n", b"USER_LINEAR_UNITS " + units + b"\r\n"),
             POSITIONS, HOMED]
 
 
 def state(*errors, machine=b"ON", estop=b"OFF"):
-    return [(b"GET PROGRAM_STATUS\r\n", b"PROGRAM_STATUS IDLE\r\n"), POSITIONS, *[(b"GET ERROR\r\n", b"ERROR " + error + b"\r\n") for error in errors],
-            (b"GET ERROR\r\n", b"ERROR OK\r\n"), (b"GET MACHINE\r\n", b"MACHINE " + machine + b"\r\n"), (b"GET ESTOP\r\n", b"ESTOP " + estop + b"\r\n"),
+    return [(b"GET PROGRAM_STATUS\r\n", b"PROGRAM_STATUS IDLE\r\n"), POSITIONS,
+            *[(b"GET ERROR\r\n", b"ERROR " + error + b"\r\n") for error in errors],
+            (b"GET ERROR\r\n", b"ERROR OK\r\n"), (b"GET MACHINE\r\n", b"MACHINE " + machine + b"\r\n"),
+            (b"GET ESTOP\r\n", b"ESTOP " + estop + b"\r\n"),
             (b"GET JOINT_FAULT\r\n", b"JOINT_FAULT OK OK OK OK OK OK\r\n"), HOMED]
 
 
@@ -71,7 +74,8 @@ def test_inches_are_told_as_inches():
     mode = (b"GET MODE\r\n", b"MODE MDI\r\n")
     line = b"SET MDI G20 G90 G93 G53 G1 X1.000000 Y1.000000 Z1.000000 A1.000000 B1.000000 C1.000000 F12.000000\r\n"
     segment = Segment(np.zeros(6), np.full(6, 0.0254), 5.0, np.full(6, 0.01), None)
-    assert talk([*hello(b"1", b"INCH"), mode, (line, b"SET MDI ACK\n\r")], lambda p: p.hello(), lambda p: p.move(segment), kinematics="joint").accepted
+    assert talk([*hello(b"1", b"INCH"), mode, (line, b"SET MDI ACK\n\r")], lambda p: p.hello(), lambda p: p.move(segment),
+                kinematics="joint").accepted
 
 
 def test_a_pose_as_genhexkins_counts_it():

@@ -12,7 +12,8 @@ import pytest
 from rig.page import PageServer
 
 EVENT = {"phase": "moving to step 3", "frame": 2, "frames": 9, "step": 3, "steps": 10, "left": 75.0, "ended": None,
-         "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6, "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
+         "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,
+         "alarms": [{"kind": "camera", "text": "camera 'cam0' <b>moved</b>"}],
          "history": [{"frame": 0, "rms": 0.02, "error": None, "innovation": None}, {"frame": 1, "rms": 0.03, "error": 12.0, "innovation": 1.1}],
          "seen": {"frame": 1, "reason": "", "delay": 0.21, "pose": [1.0, 2.0, 450.0, 0.1, 0.2, 0.3], "sigma": [1.5] * 6, "error": [3.0] * 6,
                   "innovation": 1.1, "cameras": [{"name": "cam0", "width": 64, "height": 48, "read": 3, "expected": 4, "rms": 0.02, "blur": 0.7,
@@ -84,7 +85,8 @@ def test_it_listens_on_the_loopback_alone(page):
             socket.create_connection((address, page.port), timeout=2).close()
 
 
-@pytest.mark.parametrize("path", ["/../rig.toml", "/..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/page.html", "/page.py", "/server.py",
+@pytest.mark.parametrize("path", ["/../rig.toml", "/..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/page.html", "/page.py",
+                                  "/server.py",
                                   "/page.js/../server.py", "/page.js%00.html", "/./page.js", "/PAGE.JS", "/image?camera=../../rig.toml",
                                   "http://evil.example/", "/image/../stop", "\\..\\server.py"])
 def test_path_tricks_are_refused(page, path):
@@ -129,7 +131,8 @@ def test_a_browser_shows_it(page, tmp_path):
     if browser is None:
         pytest.skip("needs Chromium: apt-get install chromium")
     page.show({**EVENT, "ended": ""}, {})
-    with subprocess.Popen([browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000", "--dump-dom",
+    with subprocess.Popen([browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000",
+                           "--dump-dom",
                            page.url], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
         end = time.monotonic() + 120
         while not page._lines:  # until the browser listens

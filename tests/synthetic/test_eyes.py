@@ -96,7 +96,8 @@ def test_cameras_answer_over_tcp_brighter_with_longer_exposures(secret, told, op
     secret = replace(secret, true=replace(secret.true, cameras=small))
     clock, going = SystemClock(), [True]
     now = clock.now()
-    server = eyes_server.EyesServer(eyes.Eyes(secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock), ("127.0.0.1", 0), clock)
+    server = eyes_server.EyesServer(eyes.Eyes(secret, Images(Sensor(bits=12)), 1, lambda: (told[0] - 105.0 + now + 3600, told[1]), clock),
+                                    ("127.0.0.1", 0), clock)
     asked = replace(small[1], source=f"emulator:{server.name}")
     got, done = {}, threading.Event()
 

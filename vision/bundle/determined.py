@@ -42,7 +42,8 @@ class Determined:
         weak, pairs = len(self.undetermined), len(self.entangled)
         left = [f"{weak} combination{'s' * (weak > 1)} of them it cannot determine"] * bool(weak) + [
             f"{pairs} pair{'s' * (pairs > 1)} hardly to be told apart"] * bool(pairs)
-        return (f"{self.unknowns} shared unknowns adjusted to this recording" + (f"; {' and '.join(left)}: the page lists them" if left else ", all determined by it")
+        return (f"{self.unknowns} shared unknowns adjusted to this recording" + (f"; {' and '.join(left)}: the page lists them" if left
+                                                                                 else ", all determined by it")
                 + f"; {'; '.join(self.held)}")
 
 

@@ -1,4 +1,4 @@
-"""What cameras may be: exchanged, posed the other way round, their matrix in another order or for another image, their lens's terms in another order."""
+"""What cameras may be: exchanged, posed the other way round, their matrix or their lens's terms in another order or for another image."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,7 +31,8 @@ def poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
         for degrees in (False, True):
             for w in (v, v * (1 - 2 * np.pi / max(np.linalg.norm(v), 1e-9))):  # a pose keeps its vector shorter than pi
                 yield (f"its rotation is Euler angles ({seq.lower()} {'fixed' if seq.islower() else 'moving'} axes{', degrees' if degrees else ''}"
-                       f"{'' if w is v else ', long'}), not a rotation vector", RigidTransform.from_components(t, Rotation.from_euler(seq, w, degrees=degrees)))
+                       f"{'' if w is v else ', long'}), not a rotation vector",
+                       RigidTransform.from_components(t, Rotation.from_euler(seq, w, degrees=degrees)))
     for unit, factor in (("centimetres", 1e-2), ("inches", 0.0254), ("feet", 0.3048), ("decimetres", 0.1)):
         yield f"its position is in {unit}", RigidTransform.from_components(t * factor, R)
     for order, names in (((1, 0, 2), "x and y"), ((0, 2, 1), "y and z"), ((2, 1, 0), "x and z")):
@@ -58,7 +59,8 @@ def posed(seen: Seen) -> Iterator[Candidate]:
         yield f"rig.toml: cameras: {what.replace('its', 'their')}", BEFORE, seen.with_cameras(tuple(
             replace(camera, pose=pose) for camera, pose in zip(cameras, turned)))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
-            yield f"rig.toml: camera {camera.name}: {what}", BEFORE, seen.with_cameras((*cameras[:i], replace(camera, pose=turned[i]), *cameras[i + 1:]))
+            yield f"rig.toml: camera {camera.name}: {what}", BEFORE, seen.with_cameras((*cameras[:i], replace(camera, pose=turned[i]),
+                                                                                        *cameras[i + 1:]))
 
 
 def lenses(seen: Seen) -> Iterator[Candidate]:
@@ -68,7 +70,8 @@ def lenses(seen: Seen) -> Iterator[Candidate]:
         mended = [other(camera) for camera in cameras]
         if all(_same(a, b) for a, b in zip(mended, cameras)):
             continue
-        yield f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}", do, seen.with_cameras(tuple(mended))
+        said = f"rig.toml: {what} of all cameras" if len(cameras) > 1 else f"rig.toml: camera {cameras[0].name}: {what}"
+        yield said, do, seen.with_cameras(tuple(mended))
         for i, camera in enumerate(cameras if len(cameras) > 1 else ()):
             if not _same(mended[i], camera):
                 yield f"rig.toml: camera {camera.name}: {what}", do, seen.with_cameras((*cameras[:i], mended[i], *cameras[i + 1:]))

@@ -8,9 +8,11 @@ from vision.mistakes.sample import Seen
 
 Candidate = tuple[str, str, Seen]
 ORDERS = {
-    (3, 2, 1, 0): "run counter-clockwise from the bottom left", (0, 3, 2, 1): "run counter-clockwise", (1, 0, 3, 2): "run counter-clockwise from the top right",
+    (3, 2, 1, 0): "run counter-clockwise from the bottom left", (0, 3, 2, 1): "run counter-clockwise",
+    (1, 0, 3, 2): "run counter-clockwise from the top right",
     (2, 1, 0, 3): "run counter-clockwise from the bottom right", (1, 2, 3, 0): "begin one corner on (top right)",
-    (2, 3, 0, 1): "begin at the opposite corner", (3, 0, 1, 2): "begin one corner back (bottom left)", (0, 1, 3, 2): "are in rows (0 1 over 2 3), not around",
+    (2, 3, 0, 1): "begin at the opposite corner", (3, 0, 1, 2): "begin one corner back (bottom left)",
+    (0, 1, 3, 2): "are in rows (0 1 over 2 3), not around",
 }
 
 
@@ -22,8 +24,9 @@ def candidates(seen: Seen) -> Iterator[Candidate]:
     for by in (1, -1):
         moved = c.marker + by
         if np.isin(moved, ids).mean() > 0.7:
-            yield (f"corners.csv: marker ids are off by one ({'too small' if by > 0 else 'too large'}): they count from {min(ids) - by} where rig.toml "
-                   f"counts from {min(ids)}", f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed", seen.with_corners(marker=moved))
+            yield (f"corners.csv: marker ids are off by one ({'too small' if by > 0 else 'too large'}): they count from {min(ids) - by} where "
+                   f"rig.toml counts from {min(ids)}", f"{'Add' if by > 0 else 'Subtract'} 1, or state the ids that are printed",
+                   seen.with_corners(marker=moved))
 
 
 def of_one(seen: Seen) -> Iterator[Candidate]:

@@ -70,11 +70,14 @@ def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) ->
         best = max(count, key=count.get)
         if count[best] >= LEAST:
             found.setdefault(best, []).append(name)
-    out = [Mistake(f"rig.toml: wrong dictionary: the markers of {'all targets' if len(names) == len(stated) else ', '.join(names)} are of {_least(family, names, ids)}, "
-                   f"not of {', '.join(sorted({stated[name] for name in names}))}", "State their dictionary", True, 0.95) for family, names in found.items()]
+    out = [Mistake(f"rig.toml: wrong dictionary: the markers of {'all targets' if len(names) == len(stated) else ', '.join(names)} are of "
+                   f"{_least(family, names, ids)}, "
+                   f"not of {', '.join(sorted({stated[name] for name in names}))}", "State their dictionary", True, 0.95) for family,
+                   names in found.items()]
     if out or len(lost) < len(stated):
         rest = [name for name in lost if not any(name in names for names in found.values())]
-        return out + [Mistake(f"rig.toml: no marker of target {name} is seen in {len(images)} images", "Look whether it is in view, and at its ids and "
+        return out + [Mistake(f"rig.toml: no marker of target {name} is seen in {len(images)} images",
+                              "Look whether it is in view, and at its ids and "
                               "dictionary", False, 0.4) for name in rest]
     return list(_none(some, markers, votes))
 
@@ -82,10 +85,10 @@ def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) ->
 def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter]) -> Iterator[Mistake]:
     """Why no marker at all is read."""
     for family in dict.fromkeys(markers.dictionary):
-        for what, code in (("left to right", 1), ("upside down", 0)):
+        for code in (1, 0):  # left to right, upside down
             if sum(number in set(markers.id.tolist()) for image in images for number in _numbers(cv2.flip(image, code), family)) >= LEAST:
-                yield Mistake("the images are mirrored (flipped): their markers are read only when flipped back", "Save images as the camera gives them, "
-                              "not as a mirror shows them", True, 0.95)
+                yield Mistake("the images are mirrored (flipped): their markers are read only when flipped back",
+                              "Save images as the camera gives them, not as a mirror shows them", True, 0.95)
                 return
         if sum(number in set(markers.id.tolist()) for image in images for number in _numbers(255 - image, family)) >= LEAST:
             yield Mistake("the images are negatives, or the markers white on black", "Invert the images, or print black on white", True, 0.95)
@@ -95,7 +98,8 @@ def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter
         yield Mistake(f"rig.toml: none of its markers is seen, but others of {family}: {', '.join(map(str, sorted(seen)[:10]))}",
                       "State the ids and the dictionary that are printed", True, 0.7)
     else:
-        yield Mistake("no marker of any dictionary is read in the images", "Look at focus, light and size: a cell of a marker takes 3 px or more", True, 0.5)
+        yield Mistake("no marker of any dictionary is read in the images", "Look at focus, light and size: a cell of a marker takes 3 px or more",
+                      True, 0.5)
 
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
@@ -121,7 +125,8 @@ def _against(stated: Corners | None, seen: Corners) -> Iterator[Mistake]:
     if stated is None:
         return
     known = {key: uv for key, uv in zip(zip(stated.frame.tolist(), stated.camera, stated.marker.tolist(), stated.corner.tolist()), stated.uv)}
-    pairs = [(known[key], uv) for key, uv in zip(zip(seen.frame.tolist(), seen.camera, seen.marker.tolist(), seen.corner.tolist()), seen.uv) if key in known]
+    pairs = [(known[key], uv) for key, uv in zip(zip(seen.frame.tolist(), seen.camera, seen.marker.tolist(), seen.corner.tolist()), seen.uv)
+             if key in known]
     if len(pairs) < 8:
         return
     a, b = np.array(pairs).swapaxes(0, 1)
@@ -134,5 +139,6 @@ def _against(stated: Corners | None, seen: Corners) -> Iterator[Mistake]:
         what = "pixels are shifted by half a pixel: the first pixel's centre is (0, 0), not (0.5, 0.5)"
     else:
         what = "its corners are not those of the images (another size, order or recording)"
-    yield Mistake(f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from what the images show", "Write OpenCV's pixels, or leave corners.csv "
+    yield Mistake(f"corners.csv: {what}: they lie ({by[0]:+.2f}, {by[1]:+.2f}) px from what the images show",
+                  "Write OpenCV's pixels, or leave corners.csv "
                   "out and let the images be read", bool(np.abs(by).max() > 2), 0.9)

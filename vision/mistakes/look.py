@@ -60,11 +60,13 @@ def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
             what, do, other = min((one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2]))
             if other.misfit < 0.7 * best.misfit:
                 return [Mistake(f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {other.misfit:.3g} px so"
-                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, True, LIKELY * (1 - other.misfit / first.misfit))], other
+                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, True,
+                                LIKELY * (1 - other.misfit / first.misfit))], other
     if sized:
         return sized, best
     if first.misfit > UNEXPLAINED and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
-        return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and no usual mistake explains "
+        return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and no usual mistake "
+                        "explains "
                         "it", "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
                         first.misfit > 0.8 * LOST, 0.2)], first
     return [], first
@@ -134,7 +136,8 @@ def _posed(best: Trial, design: Design) -> list[Mistake]:
     tail = f" (as stated they are up to {gap * 1e3:.0f} mm off)"
     if (match != np.arange(len(match))).any() and (cost[np.arange(len(match)), match] < 1).all():
         pairs = ", ".join(f"{stated[k].name} is where rig.toml has {stated[j].name}" for k, j in enumerate(match) if k != j)
-        return [Mistake(f"cameras are exchanged: {pairs}{tail}", "Exchange the names, in rig.toml or in frames.csv and corners.csv, or the poses alone",
+        return [Mistake(f"cameras are exchanged: {pairs}{tail}",
+                        "Exchange the names, in rig.toml or in frames.csv and corners.csv, or the poses alone",
                         False, 0.9)]
     found = []
     ways = {k: {what: _far(pose, seen[k].pose) for what, pose in cameras.poses(stated[k].pose)} for k in far}
@@ -146,8 +149,8 @@ def _posed(best: Trial, design: Design) -> list[Mistake]:
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
         said = what if ways[k][what] < max(1.0, NEARER * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
-        found.append(Mistake(f"rig.toml: camera {stated[k].name}: {said}: it stands {away * 1e3:.0f} mm and {np.degrees(turned):.0f} degrees from where "
-                             "it is stated", cameras.BEFORE, False, 0.7))
+        found.append(Mistake(f"rig.toml: camera {stated[k].name}: {said}: it stands {away * 1e3:.0f} mm and {np.degrees(turned):.0f} degrees from "
+                             "where it is stated", cameras.BEFORE, False, 0.7))
     return found
 
 

@@ -46,7 +46,8 @@ def scales(seen: Seen) -> dict[str, tuple[float, int]]:
         for a, b in combinations(places, 2):
             if markers.on_platform[a] == markers.on_platform[b] and markers.target[a] != markers.target[b]:
                 apart = np.linalg.norm(places[a] - places[b])
-                ratios.setdefault("platform" if markers.on_platform[a] else "base", []).append(np.linalg.norm(middles[a] - middles[b]) / max(apart, 1e-9))
+                ratios.setdefault("platform" if markers.on_platform[a] else "base",
+                                  []).append(np.linalg.norm(middles[a] - middles[b]) / max(apart, 1e-9))
     return {body: (float(np.median(values)), len(values)) for body, values in ratios.items()}
 
 
@@ -119,12 +120,14 @@ def exchanged(seen: Seen) -> Iterator[Candidate]:
         if a.faces and b.faces and len(a.faces) == len(b.faces):
             swapped = list(targets)
             swapped[i], swapped[k] = replace(a, faces=b.faces, dictionary=b.dictionary), replace(b, faces=a.faces, dictionary=a.dictionary)
-            yield f"rig.toml: cubes {a.name} and {b.name} are exchanged", "Exchange the cubes, or their faces in rig.toml", seen.with_targets(tuple(swapped))
+            yield (f"rig.toml: cubes {a.name} and {b.name} are exchanged", "Exchange the cubes, or their faces in rig.toml",
+                   seen.with_targets(tuple(swapped)))
         elif a.listed and b.listed and len(a.listed) == len(b.listed):
             swapped = list(targets)
             swapped[i] = replace(a, listed=tuple(replace(m, id=n.id) for m, n in zip(a.listed, b.listed)))
             swapped[k] = replace(b, listed=tuple(replace(m, id=n.id) for m, n in zip(b.listed, a.listed)))
-            yield f"rig.toml: targets {a.name} and {b.name} are exchanged", "Exchange them, or their ids in rig.toml", seen.with_targets(tuple(swapped))
+            yield (f"rig.toml: targets {a.name} and {b.name} are exchanged", "Exchange them, or their ids in rig.toml",
+                   seen.with_targets(tuple(swapped)))
     other = {"base": "platform", "platform": "base"}
     yield "rig.toml: body of all targets is exchanged (base for platform)", "Exchange body", seen.with_targets(
         tuple(replace(t, body=other[t.body]) for t in targets))
@@ -156,7 +159,8 @@ def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
         for a, b in combinations(range(len(t.faces)), 2):
             faces = list(t.faces)
             faces[a], faces[b] = (t.faces[a][0], t.faces[b][1]), (t.faces[b][0], t.faces[a][1])
-            yield f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged", "Exchange them", put(replace(t, faces=tuple(faces)))
+            yield f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged", "Exchange them", put(replace(t,
+                                                                                                                                    faces=tuple(faces)))
         for what, change in _POSES:
             yield f"rig.toml: pose of target {name}: {what}", "State cube in body: m, rotation vector in rad", put(replace(t, pose=change(t.pose)))
     for by in (1, -1):

@@ -113,7 +113,8 @@ class Live:
         corners, correlation = corners_of(rows)
         observed = from_corners(corners, np.array([frame]), self.design, self.markers, correlation)
         observed = replace(observed, covariance=observed.covariance * self._factor)
-        nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan), np.zeros(len(observed), bool),
+        nothing = Sight(frame, None, None, "no marker of the rig is seen", observed, np.full((len(observed), 2), np.nan),
+                        np.zeros(len(observed), bool),
                         detections, {})
         if not len(observed):
             return nothing

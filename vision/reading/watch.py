@@ -55,7 +55,8 @@ class Watch:
                 continue
             size = float(np.median(np.linalg.norm(sight.residuals[rows], axis=1)))
             if size > limit:
-                found["camera", name] = (f"frame {sight.frame}: camera {name!r} has moved, or its lens has: the base's markers are off by {size:.2f} px "
+                found["camera",
+                      name] = (f"frame {sight.frame}: camera {name!r} has moved, or its lens has: the base's markers are off by {size:.2f} px "
                                          f"({limit:.2f} px is allowed)")
         return found
 
@@ -82,5 +83,6 @@ class Watch:
                     self._missed[key] += 1
             if together < TOGETHER:
                 text = ", ".join(map(str, missing))
-                found["covered", name] = f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: does something stand in front?"
+                found["covered",
+                      name] = f"frame {sight.frame}: markers {text} are not seen in camera {name!r}, all at once: does something stand in front?"
         return found

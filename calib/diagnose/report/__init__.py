@@ -1,0 +1,1 @@
+"""What a diagnosis hands out: schema, JSON, pages, plots."""

@@ -1,0 +1,1 @@
+"""An arm's poses as a problem of the engine."""

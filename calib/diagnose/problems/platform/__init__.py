@@ -1,0 +1,1 @@
+"""A platform's corners and closures as a problem of the engine."""
