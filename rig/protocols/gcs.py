@@ -155,7 +155,8 @@ class GCS:
                 return lines
             yield from self._in_step()
         error = yield Exchange(b"ERR?\n", _is_error)
-        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error else ""))
+        raise NoAnswer(f"no answer to {data!r}, asked {TRIES} times" + (f"; the controller's error is {_reason(int(error[-1].strip()))}" if error
+                                                                        else ""))
 
     def _command(self, line: str) -> Dialogue[Verdict]:
         """A command and the error that it leaves, sent together and once."""
