@@ -20,6 +20,7 @@ WRITTEN = ("out", "truth", "state")  # arguments that name what is written; all 
 
 COMMANDS = {
     "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
+    "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a recipe of it.",
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",

@@ -14,13 +14,15 @@ from calib import store
 from calib.certify.certificate import Figures, HeldOut
 from calib.correct.correction import Correction
 from calib.online.filter import Online
-from rig import design_file, layout, plan, recording, table
+from rig import design_file, importing, layout, plan, recording, table
 from rig.commands import blind
 from rig.effects import ALL
 from rig.effects.parse import asked, from_dict, parse, placed
 from rig.errors import RigError
 from rig.exposures import load_exposures
 from rig.images import check_image
+from rig.importing import frames
+from rig.importing.recipe import Sheet
 from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.pose import TRIANGLE
 from synthetic import score, simulation, world
@@ -47,7 +49,7 @@ def readers(folder: Path) -> list[Reader]:
     for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
     held = recording.load(folder)
-    return [*_files(folder, design, held), *_json(folder, design, done), *_texts(design)]
+    return [*_files(folder, design, held), *_json(folder, design, done), *_texts(design), *_foreign(folder, design)]
 
 
 def _files(folder, design, held):
@@ -125,3 +127,31 @@ def _texts(design):
                    of(lambda text: asked(text, design))),
             Reader("board", (b"charuco:8x6:0.03:0.022:DICT_5X5_100", b"aruco:8x6:0.03:0.01:DICT_5X5_100"), of(board.parse)),
             Reader("trials", (b"3,7-9", b"1"), of(lambda text: blind._indices(text, 100)))]
+
+
+def _foreign(folder, design):
+    """What `rig import` reads: tables in any dialect, recipes, names of images."""
+    q = [repr(1e3 * float(v)) for v in design.mechanism.strut_range.mean(axis=1)]
+    rows = "\n".join(";".join([f"{1763800000000 + 900 * k}", *(f"{float(v) + 5 * (k % 3):.4f}".replace(".", ",") for v in q)]) for k in range(6))
+    german = f"# log\nZeit [ms];{';'.join(f'L{i} [mm]' for i in range(1, 7))}\n{rows}\n".encode()
+    lines = (" ".join([f"{k}.5", *(f"{(float(v) + 5 * (k % 3)) / 1e3:.6f}" for v in q)]) for k in range(6))
+    plain = "\n".join(["# t l1 l2 l3 l4 l5 l6", *lines]).encode()
+    turns = b"timestamp,x [mm],y [mm],z [mm],qw,qx,qy,qz\n2026-01-31T12:00:00.5Z,1,2,450,1,0,0,0\n2026-01-31T12:00:01.5Z,2,1,455,0,1,0,0\n"
+    angles = b"t [s]\tx\ty\tz\troll [deg]\tpitch [deg]\tyaw [deg]\n0\t10\t20\t450\t1\t2\t3\n1\t20\t10\t440\t3\t1\t0\n"
+    log = b"t [s];Ambient temp [K]\n0,5;293,15\n1,5;293,25\n"
+    recipe = (b'schema = "import/1"\nrig = "rig.toml"\n[images]\nfolders = ["in"]\ntolerance = 0.01\n[images.cameras]\nleft = "cam0"\n'
+              b'[commands]\nfile = "c.csv"\nunit = "mm"\nshift = 1.5\n[commands.columns]\nl1 = "Bein 1"\n')
+    Images = importing.recipe.Images
+
+    def names(path):
+        lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
+        found = [frames._picture(Path("in") / line.replace("\0", "0").lstrip("/")[:255], Path("in"), {"cam0": "cam0", "cam1": "cam1"}, None, ["cam0", "cam1"])
+                 for line in lines if line.strip("/. ")]
+        return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
+
+    return [Reader("foreign commands", (german, plain), lambda path: importing.commands.commands(Sheet(path), design)),
+            Reader("foreign poses", (turns, angles), lambda path: importing.poses.poses(Sheet(path, rotation_unit="deg", rotation="zyx") if b"roll" in
+                   path.read_bytes() else Sheet(path), design, lambda *_: None, lambda t: True)),
+            Reader("foreign sensors", (log,), lambda path: importing.sensors.sensors(Sheet(path), lambda t: True)),
+            Reader("recipe", (recipe,), importing.load),
+            Reader("names of images", (b"cam0_1763800000123.png\ncam1_1763800000125.png\ncam0_1763800001123.png", b"cam0/1.png\ncam1/1.png"), names)]

@@ -1,0 +1,88 @@
+"""rig import IMAGES --rig rig.toml --commands X.csv --out REC, or rig import --recipe FILE --out REC."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import add_force
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.importing import Imported, Recipe
+    from rig.recording import Recording
+
+TABLES = {"commands": "table of what was commanded: time, lengths or angles", "poses": "table of measured poses",
+          "sensors": "log of sensors", "frames": "table of the images' times: frame or image, time"}
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("images", metavar="IMAGES", type=Path, nargs="*", help="folders of images: a folder per camera, or the camera in the names")
+    parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as you believe it")
+    for name, text in TABLES.items():
+        parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
+    parser.add_argument("--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help="state what files do not, as "
+                        "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
+    parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
+    parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
+    add_force(parser)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Make a recording out of foreign files, say what was assumed, and keep it as a recipe."""
+    from rig import importing
+    from rig.files import write_text
+    from rig.mistakes.early import early
+
+    given = {name: getattr(arguments, name) for name in TABLES}
+    if arguments.recipe is not None and (arguments.images or arguments.rig or any(given.values())):
+        raise RigError("--recipe names all files itself; --set changes what it says")
+    if arguments.recipe is None and arguments.rig is None:
+        raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
+    settings = tuple(arguments.settings)
+    recipe = (importing.load(arguments.recipe, settings) if arguments.recipe is not None
+              else importing.stated(arguments.rig, arguments.images, given, settings))
+    arguments.outputs.inputs += _read(recipe)
+    out = arguments.outputs.folder(arguments.out)
+    imported = importing.assemble(recipe)
+    importing.write(imported, out)
+    kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
+    if arguments.recipe is None:
+        write_text(arguments.outputs.file(kept), importing.text(imported.recipe, kept.parent))
+    remarks = early(_loaded(out, arguments.out))
+    _say(imported)
+    for remark in remarks:
+        print(f"{'wrong' if remark.spoils else 'unlikely'}: {remark}")
+    print(f"written: {arguments.out}" + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
+          + f"; `rig check {arguments.out}` looks at it closely")
+
+
+def _read(recipe: "Recipe") -> list[Path]:
+    """The files and folders that a recipe reads, which are never written over."""
+    tables = [getattr(recipe, name) for name in TABLES]
+    return [recipe.rig, *(recipe.images.folders if recipe.images else ()), *(table.file for table in tables if table is not None)]
+
+
+def _loaded(folder: Path, place: Path) -> "Recording":
+    """The recording as it is read back. Raises RigError that names it by its place."""
+    from rig import recording
+
+    try:
+        return recording.load(folder)
+    except RigError as error:
+        raise RigError(f"what was imported is no recording: {str(error).replace(str(folder), str(place))}") from None
+
+
+def _say(imported: "Imported") -> None:
+    """Print the verdict, then what was assumed."""
+    e, parts = imported.exposed, []
+    pictures = sum(bool(name) for name in e.camera)
+    parts.append(f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else ""))
+    for part, word in ((imported.commanded, "commands"), (imported.posed, "poses"), (imported.logged, "rows of sensors")):
+        if part is not None:
+            parts.append(f"{len(part.T if word == 'poses' else part.t)} {word}")
+    print(f"imported: {', '.join(parts)}, over {float(max(e.t) - min(e.t)):.6g} s")
+    if imported.said:
+        print("assumed, as nothing says otherwise:" if len(imported.said) > 1 else "assumed:")
+    for line in imported.said:
+        print(f"  {line}")

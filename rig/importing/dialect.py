@@ -1,0 +1,176 @@
+"""A foreign table -> header and cells: encoding, separator, decimal sign and comments found out, what can be read two ways refused."""
+
+import csv
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rig.entries import LARGEST_NUMBER
+from rig.errors import FileError
+from rig.importing.ambiguous import ambiguous
+from rig.importing.recipe import DECIMALS, SEPARATORS, Sheet
+from rig.outside import read_bytes, shown
+
+LARGEST = 1 << 27  # bytes
+COMMENTS = ("#", "%", "//")
+LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many cells in the end
+MOST_COLUMNS = 1000
+LONGEST = 100  # characters of a number
+LONGEST_CELL = 300  # characters
+NUMBER = {"point": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?"), "comma": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d{1,3})?")}
+TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
+DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file, from 1
+    sheet : Sheet with separator and decimal; said : sentences about what was found out."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    sheet: Sheet
+    said: tuple[str, ...]
+
+    def column(self, at: int) -> list[str]:
+        """A column's texts. at : index"""
+        return [row[at] for row in self.rows]
+
+    def numbers(self, at: int) -> list[float]:
+        """A column's numbers. Raises FileError at the first that is none."""
+        return [self._number(row[at], line, at) for row, line in zip(self.rows, self.lines)]
+
+    def _number(self, cell: str, line: int, at: int) -> float:
+        if len(cell) > LONGEST or not NUMBER["point"].fullmatch(cell) or abs(float(cell)) > LARGEST_NUMBER:
+            raise FileError(self.path, f"column {shown(self.header[at])} is no number that can be meant: {shown(cell)}", line, at + 1, cell)
+        return float(cell)
+
+
+def read(sheet: Sheet, name: str) -> Cells:
+    """Cells of a table. name : of its section in a recipe, as settings call it
+
+    Raises FileError for what is no table, RigError for one that reads well in two ways
+    """
+    content, words = _decoded(sheet.file)
+    lines = _lines(sheet.file, content)
+    fits: list[Cells] = []
+    for separator in SEPARATORS if sheet.separator is None else (sheet.separator,):
+        for decimal in DECIMALS if sheet.decimal is None else (sheet.decimal,):
+            found = _parsed(sheet, lines, separator, decimal)
+            if found is not None:
+                fits.append(found)
+    if not fits:
+        raise FileError(sheet.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
+                        "decimal points or commas; its separator and decimal can be stated: "
+                        f"--set {name}.separator=semicolon --set {name}.decimal=comma")
+    first = fits[0]
+    others = [other for other in fits[1:] if other.rows != first.rows or other.header != first.header]
+    if others:
+        def setting(one: Cells) -> str:
+            key = "decimal" if one.sheet.separator == first.sheet.separator else "separator"
+            return f"{name}.{key}={getattr(one.sheet, key)}"
+
+        raise ambiguous(f"{sheet.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
+            (f"{one.sheet.separator}s between, decimal {one.sheet.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
+            for one in (first, *others)])
+    _no_groups(sheet, first, lines, name)
+    return Cells(first.path, first.header, first.rows, first.lines, first.sheet, (*words, *first.said))
+
+
+def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
+    """(text, what is said of its encoding) of UTF-8, UTF-16 with a mark, or else what Windows writes in western Europe."""
+    data = read_bytes(path, LARGEST)
+    try:
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return data.decode("utf-16"), (f"{path.name} is UTF-16 text",)
+        return data.decode("utf-8-sig"), ()
+    except UnicodeDecodeError:
+        pass
+    try:
+        content = data.decode("cp1252")
+    except UnicodeDecodeError:
+        raise FileError(path, "is no text in UTF-8, UTF-16 or Windows-1252") from None
+    return content, (f"{path.name} is taken as Windows-1252 text, as it is no UTF-8",)
+
+
+def _lines(path: Path, content: str) -> list[tuple[int, str]]:
+    """(number, text) of the header and the rows; a header in the last comment before figures counts."""
+    if "\0" in content:
+        raise FileError(path, "is no text: it holds a NUL byte")
+    lines, comment = [], None
+    for number, line in enumerate(content.splitlines(), 1):
+        bare = line.strip(" \r\n")
+        if not bare.strip():
+            continue
+        mark = next((mark for mark in COMMENTS if bare.startswith(mark)), None)
+        if mark is None:
+            lines.append((number, bare))
+        elif not lines:
+            comment = (number, bare[len(mark):].strip(" "))
+    if lines and comment and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1])):
+        lines.insert(0, comment)  # as numpy.savetxt writes its header
+    if len(lines) < 2:
+        raise FileError(path, "has no header line with rows below it")
+    return lines
+
+
+def _parsed(sheet: Sheet, lines: list[tuple[int, str]], separator: str, decimal: str) -> Cells | None:
+    """Cells as one dialect has them, or None where it does not fit all rows."""
+    try:
+        rows = [_split(line, separator) for _, line in lines[: LOOKED_AT + 1]]
+        if not _fit(rows, decimal):
+            return None
+        rows += [_split(line, separator) for _, line in lines[LOOKED_AT + 1:]]
+    except csv.Error:
+        return None
+    header, *body = rows
+    numbers = [number for number, _ in lines[1:]]
+    odd = next((i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)), None)
+    if odd is not None and len(body[odd]) == len(header):
+        raise FileError(sheet.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
+    if odd is not None:
+        raise FileError(sheet.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
+    kept = [k for k, name in enumerate(header) if name or any(row[k] for row in body)]  # a separator at the ends of lines makes an empty column
+    body = [[_point(row[k], decimal) for k in kept] for row in body]
+    told = () if sheet.separator and sheet.decimal else (f"{sheet.file.name}: {separator}s between the cells, decimal {decimal}s",)
+    return Cells(sheet.file, tuple(header[k] for k in kept), body, numbers, replace(sheet, separator=separator, decimal=decimal), told)
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == "space":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=SEPARATORS[separator]), [])]
+
+
+def _fit(rows: list[list[str]], decimal: str) -> bool:
+    header, *body = rows
+    if not 2 <= len(header) <= MOST_COLUMNS or NUMBER["point"].fullmatch(header[0]) or len({len(row) for row in rows}) > 1:
+        return False
+    if any(len(cell) > LONGEST_CELL for row in rows for cell in row):
+        return False
+    figures = 0
+    for row in body:
+        for cell in row:
+            if len(cell) <= LONGEST and NUMBER[decimal].fullmatch(cell):
+                figures += 1
+            elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER["comma" if decimal == "point" else "point"].fullmatch(cell):
+                return False
+    return figures > 0
+
+
+def _point(cell: str, decimal: str) -> str:
+    return cell.replace(",", ".") if decimal == "comma" and NUMBER["comma"].fullmatch(cell) else cell
+
+
+def _no_groups(sheet: Sheet, found: Cells, lines: list[tuple[int, str]], name: str) -> None:
+    """Raise RigError where every decimal comma could as well part thousands."""
+    if sheet.decimal is not None or found.sheet.decimal != "comma":
+        return
+    cells = [cell for _, line in lines[1:] for cell in _split(line, found.sheet.separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
+    if cells and all(GROUPED.fullmatch(cell) for cell in cells):
+        raise ambiguous(f"{sheet.file}: {cells[0]} can be read in two ways",
+                        [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
+                         (f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)", f"{name}.decimal=point")])

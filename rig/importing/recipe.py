@@ -1,0 +1,186 @@
+"""What is stated about foreign files, key by key: from options or from a recipe's TOML, and written back with all that was found out."""
+
+import os
+import tomllib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+from rig.entries import Entries
+from rig.errors import FileError, RigError
+from rig.outside import read_text, shown
+from rig.toml_positions import positions
+
+SCHEMA = "import/1"
+LARGEST = 1 << 20  # bytes
+SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+DECIMALS = {"point": ".", "comma": ","}
+TIMES = ("s", "ms", "us", "ns", "iso")
+ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
+EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
+TABLES = ("commands", "poses", "sensors", "frames")
+NUMBERS = ("steps_per_mm", "shift", "tolerance")
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One foreign table. None : not stated, to be found out; columns : pairs (our name, their header)
+
+    relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as +01:00, of ISO
+    times without one; unit : of lengths or angles whose header states none
+    """
+
+    file: Path
+    separator: str | None = None
+    decimal: str | None = None
+    time_unit: str | None = None
+    zone: str | None = None
+    shift: float = 0.0
+    unit: str | None = None
+    relative: str | None = None
+    steps_per_mm: float | None = None
+    rotation: str | None = None
+    rotation_unit: str | None = None
+    columns: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Images:
+    """Folders of images. names : pattern with {camera}, {frame}, {time}; tolerance : s within which exposures are one frame;
+    cameras : pairs (their word, our camera)."""
+
+    folders: tuple[Path, ...]
+    names: str | None = None
+    time_unit: str | None = None
+    zone: str | None = None
+    shift: float = 0.0
+    tolerance: float | None = None
+    cameras: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """All that is imported, and what is stated about it."""
+
+    rig: Path
+    images: Images | None = None
+    commands: Sheet | None = None
+    poses: Sheet | None = None
+    sensors: Sheet | None = None
+    frames: Sheet | None = None
+    said: tuple[str, ...] = field(default=(), compare=False)
+
+
+def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
+    """Recipe of a TOML file; its paths count from its folder. settings : "KEY=VALUE" that replace what it says. Raises FileError."""
+    content = read_text(path, LARGEST)
+    try:
+        tree = tomllib.loads(content)
+        places = positions(content)
+    except (ValueError, RecursionError) as error:
+        raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
+    root = Entries(tree, (), path, places)
+    root.text("schema", (SCHEMA,))
+    _set(tree, settings)
+    return _recipe(root, path.parent)
+
+
+def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...]) -> Recipe:
+    """Recipe of what a command line states. tables : {one of TABLES: file or None}. Raises RigError."""
+    tree: dict = {} if rig is None else {"rig": str(rig)}
+    if folders:
+        tree["images"] = {"folders": [str(folder) for folder in folders]}
+    tree |= {name: {"file": str(path)} for name, path in tables.items() if path is not None}
+    _set(tree, settings)
+    return _recipe(Entries(tree, (), Path("--set"), {(): (None, None)}), Path())
+
+
+def _set(tree: dict, settings: tuple[str, ...]) -> None:
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        *above, last = key.strip().split(".", 2)
+        if not equals or not above or not last:
+            raise RigError(f"--set takes KEY=VALUE with a key as commands.unit, not {shown(setting)}")
+        inner = tree
+        for part in above:
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise RigError(f"--set {shown(setting)}: {part} is no table")
+        inner[last] = value
+        if last in NUMBERS:
+            try:
+                inner[last] = float(value)
+            except ValueError:
+                raise RigError(f"--set {key} takes a number, not {shown(value)}") from None
+
+
+def _recipe(root: Entries, folder: Path) -> Recipe:
+    root.refuse_misspelt(("schema", "rig", "images", "said", *TABLES))
+    for key in root.tree:
+        if key not in ("schema", "rig", "images", "said", *TABLES):
+            root.fail(f"unknown key {shown(key)}; there are rig, images, {', '.join(TABLES)}", key)
+    return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None,
+                  *(_sheet(root.table(name), folder) if name in root.tree else None for name in TABLES))
+
+
+def _known(entries: Entries, kind: type) -> None:
+    names = tuple(part.name for part in fields(kind))
+    entries.refuse_misspelt(names)
+    for key in entries.tree:
+        if key not in names:
+            entries.fail(f"unknown key {entries.name(key)!r}; there are {', '.join(names)}", key)
+
+
+def _pairs(entries: Entries, key: str) -> tuple[tuple[str, str], ...]:
+    inner = entries.table(key, optional=True)
+    return tuple((str(name), inner.text(name)) for name in inner.tree)
+
+
+def _images(e: Entries, folder: Path) -> Images:
+    _known(e, Images)
+    return Images(tuple(folder / name for name in e.texts("folders")), e.text("names", default=None), e.text("time_unit", TIMES, None),
+                  e.text("zone", default=None), e.number("shift", 0.0), e.number("tolerance", None, least=0.0, most=3600.0, unit="s"),
+                  _pairs(e, "cameras"))
+
+
+def _sheet(e: Entries, folder: Path) -> Sheet:
+    from rig.importing.units import ALL
+
+    _known(e, Sheet)
+    if "file" not in e.tree:
+        e.fail(f"{e.name('file')} is missing: settings of a table that is not imported")
+    return Sheet(folder / e.text("file"), e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
+                 e.text("time_unit", TIMES, None), e.text("zone", default=None), e.number("shift", 0.0), e.text("unit", tuple(ALL), None),
+                 e.text("relative", ("zero", "home"), None), e.number("steps_per_mm", None, above=0.0),
+                 e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None), _pairs(e, "columns"))
+
+
+def text(recipe: Recipe, folder: Path) -> str:
+    """A Recipe as TOML, its paths as seen from a folder, with what was said as comments."""
+    import tomlkit
+
+    def path(given: Path) -> str:
+        return os.path.relpath(os.path.realpath(given), os.path.realpath(folder))
+
+    document = tomlkit.document()
+    for line in ("`rig import --recipe THIS --out REC` does it again. What was found out:", *recipe.said):
+        document.add(tomlkit.comment(" ".join(line.split())))
+    document.add("schema", SCHEMA)
+    document.add("rig", path(recipe.rig))
+    for name in ("images", *TABLES):
+        section = getattr(recipe, name)
+        if section is None:
+            continue
+        table = tomlkit.table()
+        for part in fields(section):
+            value = getattr(section, part.name)
+            if part.name == "folders":
+                table.add("folders", [path(one) for one in value])
+            elif part.name == "file":
+                table.add("file", path(value))
+            elif isinstance(value, tuple):
+                if value:
+                    table.add(part.name, dict(value))
+            elif value is not None and not (part.name == "shift" and value == 0):
+                table.add(part.name, value)
+        document.add(name, table)
+    return tomlkit.dumps(document)

@@ -1,0 +1,71 @@
+"""A log of sensors out of a foreign table: channels named as a recording names them, temperatures in C, masses in kg."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from decimal import Decimal
+
+import numpy as np
+
+from rig.entries import name_problem
+from rig.errors import RigError
+from rig.importing import columns, times, units
+from rig.importing.dialect import read
+from rig.importing.recipe import Sheet
+
+TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "C": lambda v: v, "K": lambda v: v - 273.15, "F": lambda v: (v - 32) / 1.8, "kg": lambda v: v, "g": lambda v: v / 1000,
+    **{unit: (lambda v, per=per: v / per) for unit, per in units.LENGTHS.items()}}
+SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Logged:
+    """t : n exact s; channels : pairs (name, (n,) values)."""
+
+    t: list[Decimal]
+    channels: tuple[tuple[str, np.ndarray], ...]
+    sheet: Sheet
+    said: tuple[str, ...]
+
+
+def sensors(sheet: Sheet, plausible: Callable[[np.ndarray], bool]) -> Logged:
+    """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used"""
+    cells = read(sheet, "sensors")
+    stated = {header: ours for ours, header in sheet.columns if ours != "t"}
+    found = columns.find(cells, "sensors", {"t": columns.TIME}, ("t",))
+    unit = units.split(cells.header[found["t"]])[1]
+    read_times = times.read(cells.column(found["t"]), "sensors", sheet.file.name, sheet.time_unit or (unit if unit in units.TIMES else None),
+                            sheet.zone, sheet.shift, plausible)
+    channels, kept, renamed = [], [("t", cells.header[found["t"]])], []
+    for at, header in enumerate(cells.header):
+        if at == found["t"]:
+            continue
+        unit = units.split(header)[1]
+        name = stated.get(header) or _name(header, unit)
+        if name_problem(name):
+            raise RigError(f"{sheet.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
+        if name in dict(channels) or name == "t":
+            raise RigError(f"{sheet.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
+        channels.append((name, TO_SI.get(unit, lambda v: v)(np.array(cells.numbers(at)))))
+        kept.append((name, header))
+        if name != header:
+            converted = unit in TO_SI and unit not in ("C", "kg", "m")
+            renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
+    said = (f"{sheet.file.name}: {'; '.join(renamed)}",) if renamed else ()
+    return Logged(read_times.seconds, tuple(channels),
+                  replace(cells.sheet, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone), (*cells.said, *read_times.said, *said))
+
+
+def _name(header: str, unit: str | None) -> str:
+    """A channel's name out of a header: words joined, its unit as a recording has it behind it."""
+    bare = units.split(header)[0] if unit else header
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", bare).strip("_.-")
+    if unit in SI:
+        known = re.fullmatch(r"(?i)(ambient|strut_?[1-6]|camera_.+)_temp(erature)?", name)
+        if known:
+            name = f"{known[1].lower() if not name.lower().startswith('camera') else known[1]}_temperature".replace("strut_", "strut")
+        elif re.fullmatch(r"(?i)payload(_mass)?", name):
+            name = "payload_mass"
+        name = f"{name}_{SI[unit]}"
+    return name

@@ -1,0 +1,41 @@
+"""Twenty images of each camera, millimetres, semicolons, milliseconds since 1970: imported, checked, measured, calibrated."""
+
+import csv
+import shutil
+from decimal import Decimal
+
+import numpy as np
+
+from rig import recording
+from tests.conftest import BENCH
+from tests.importing.foreign import EPOCH
+from tests.mistakes.test_mistakes import said
+
+
+def theirs(folder):
+    """The bench's recording as somebody else has it."""
+    with open(BENCH / "fit" / "frames.csv") as file:
+        for row in csv.DictReader(file):
+            name = folder / "pictures" / f"{row['camera']}_{(Decimal(row['t']) + EPOCH) * 1000:.0f}.png"
+            name.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(BENCH / "fit" / row["image"], name)
+    with open(BENCH / "fit" / "commands.csv") as file:
+        rows = list(csv.reader(file))[1:]
+    lines = ["# controller log", "Time [ms];" + ";".join(f"L{i} [mm]" for i in range(1, 7))]
+    lines += [";".join([f"{(Decimal(t) + EPOCH) * 1000:.0f}", *(str(Decimal(v) * 1000).replace(".", ",") for v in q)]) for t, *q in rows]
+    (folder / "log.csv").write_text("\n".join(lines), encoding="utf-8-sig")
+
+
+def test_twenty_images_become_a_calibration(tmp_path):
+    theirs(tmp_path)
+    status, text = said("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv",
+                        "--out", tmp_path / "rec")
+    assert status == 0 and text.startswith("imported: 20 frames, 60 images of 3 cameras, 42 commands"), text
+    assert "names of images: times are milliseconds since 1970" in text and "unlikely" not in text
+    ours, good = recording.load(tmp_path / "rec"), recording.load(BENCH / "fit")
+    assert np.abs(ours.exposures.times()[1] - good.exposures.times()[1]).max() < 1e-3 and ours.exposures.camera == good.exposures.camera
+    assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
+    status, text = said("measure", tmp_path / "rec", "--out", tmp_path / "measured")
+    assert status == 0 and "20 of 20 frames solved" in text.splitlines()[0], text
+    status, text = said("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
+    assert status == 0 and (tmp_path / "calibration.json").exists(), text
