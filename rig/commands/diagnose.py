@@ -6,6 +6,8 @@ from rig.commands import checking
 from rig.commands.output import Progress, add_force, add_recording
 from rig.errors import RigError
 
+MENTIONED = 4  # remarks in the terminal
+
 
 def arguments(parser):
     """Add this command's arguments to a parser."""
@@ -76,6 +78,10 @@ def _print(report):
         print(line(finding))
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
+    if report.remarks:
+        places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
+        more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
+        print(f"there, and within tolerances: {places}{more}; see remarks")
     if not report.findings:
         print("nothing is left out: the recording and the model agree within the noise")
     for what, fit in report.fits.items():

@@ -34,7 +34,7 @@ def report(d: ArmDiagnosis) -> Report:
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
-                  {"held_out": held, "repeats": again, "set_aside": d.arms.frame[~d.fit.used].tolist()})
+                  more={"held_out": held, "repeats": again, "set_aside": d.arms.frame[~d.fit.used].tolist()})
 
 
 def floor(d: ArmDiagnosis) -> float:

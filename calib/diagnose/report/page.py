@@ -49,6 +49,10 @@ def diagnosis_page(path: Path, report: Report, view: View) -> None:
     for finding in slight:
         parts += [f"<h3>{words.title(finding)}{html.escape(words.size(finding))}</h3>", *_slight(finding)]
     parts += ["<h2>What remains</h2>", *_remaining(report, view)]
+    if report.remarks:
+        parts += ["<h2>There, and nobody's fault</h2>",
+                  "<p>Beyond chance, and no more than parts and instruments may do on their own: nothing to be done about it.</p>",
+                  table(("what", "size", "why it is no finding"), [words.remark_row(r) for r in report.remarks])]
     parts += ["<h2>What was asked</h2>", _asked(report, view), "<h2>The measurement</h2>", table(("what", "value"), _measurement(report, view))]
     page(path, f"Diagnosis of {report.recording}", parts)
 

@@ -10,8 +10,9 @@ from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
-from calib.diagnose.problems.platform.refine import Refined
-from calib.diagnose.report.schema import UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Unexplained, Value, write
+from calib.diagnose.problems.platform.refine import Z95, Refined
+from calib.diagnose.problems.platform.tolerated import Slight
+from calib.diagnose.report.schema import UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, RemarkEntry, Report, Unexplained, Value, write
 from rig import machine_file
 from rig.effects import BY_NAME
 from rig.effects.base import Effect
@@ -29,7 +30,34 @@ def report(d: PlatformDiagnosis) -> Report:
     found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked))
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)))
+
+
+def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:
+    """What is there beyond chance and does not matter: what was fitted, what was left, what tolerances were seen to be."""
+    refined, out = d.selection.fit.refined, []
+    for f, reason in d.remarks.findings:
+        effect = refined.point.effects[f.number]
+        out.append(RemarkEntry(effect.name, effect.place, _parameters(refined, f.number, effect, d.origin), no_more_than(reason),
+                               min(1.0, f.score.p_value * d.selection.asked)))
+    out += [RemarkEntry(UNKNOWN, u.place, _size_of(u), no_more_than(reason), u.p_value) for u, reason in d.remarks.left]
+    return out + [_within(s) for s in d.remarks.sites]
+
+
+def no_more_than(reason: str) -> str:
+    """A remark's reason in a sentence."""
+    return f"No more than {reason}."
+
+
+def _within(slight: Slight) -> RemarkEntry:
+    """RemarkEntry of what a tolerance was seen to be."""
+    parameters, at, ends = {}, 0, Z95 * slight.sigma
+    for name, unit, count in slight.site.parameters:
+        rows = slice(at, at + count)
+        low, value, high = ((slight.values + s * ends)[rows].tolist() for s in (-1, 0, 1))
+        parameters[name] = Value(value, unit, [low, high]) if count > 1 else Value(value[0], unit, [low[0], high[0]])
+        at += count
+    return RemarkEntry(slight.site.effect, slight.site.place, parameters, no_more_than(slight.site.tolerance.reason), slight.p_value)
 
 
 def noise(figures: dict[str, float | None]) -> dict[str, float | None]:
@@ -44,8 +72,11 @@ def unexplained(left: list[LackOfFit]) -> Unexplained | None:
 
 def unknown(left: list[LackOfFit]) -> list[FindingEntry]:
     """What is left as findings without a name, one for each place."""
-    return [FindingEntry(UNKNOWN, u.place, {"magnitude": Value(u.magnitude, u.unit), "depends_on": Value(list(u.depends_on), "")},
-                         Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2)) for u in first_of_each_place(left)]
+    return [FindingEntry(UNKNOWN, u.place, _size_of(u), Evidence(p_value=u.p_value, delta_chi2=u.delta_chi2)) for u in first_of_each_place(left)]
+
+
+def _size_of(left: LackOfFit) -> dict[str, Value]:
+    return {"magnitude": Value(left.magnitude, left.unit), "depends_on": Value(list(left.depends_on), "")}
 
 
 def fit_entry(fit: CrossValidation) -> FitEntry:

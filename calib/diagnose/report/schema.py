@@ -68,6 +68,17 @@ class FindingEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class RemarkEntry:
+    """Something that is there beyond chance and is no finding. parameters : {name: Value}; reason : why, in a sentence; p_value : of chance."""
+
+    effect: str
+    place: str
+    parameters: dict[str, Value]
+    reason: str
+    p_value: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Unexplained:
     """The largest of what nothing in the catalogue explains. depends_on : names of covariates, none for scatter."""
 
@@ -99,7 +110,8 @@ class NotAskedEntry:
 class Report:
     """Of one recording. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
-    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; more : what one kind of machine has to say besides"""
+    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
+    more : what one kind of machine has to say besides"""
 
     recording: str
     start_s: float
@@ -109,6 +121,7 @@ class Report:
     fits: dict[str, FitEntry]
     fit: FitEntry
     not_asked: tuple[NotAskedEntry, ...]
+    remarks: tuple[RemarkEntry, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -4,7 +4,7 @@ import html
 
 import numpy as np
 
-from calib.diagnose.report.schema import FindingEntry, FitEntry, Report, Value
+from calib.diagnose.report.schema import FindingEntry, FitEntry, RemarkEntry, Report, Value
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -20,12 +20,12 @@ def number(value: float, unit: str, with_unit: bool = True) -> str:
     return f"{text} {name}".strip() if with_unit else text
 
 
-def title(finding: FindingEntry) -> str:
+def title(finding: FindingEntry | RemarkEntry) -> str:
     """"backlash at strut 4"."""
     return f"{finding.effect.replace('_', ' ')} at {finding.place}"
 
 
-def size(finding: FindingEntry) -> str:
+def size(finding: FindingEntry | RemarkEntry) -> str:
     """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is none."""
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
@@ -88,6 +88,13 @@ def how_sure(finding: FindingEntry) -> str:
             f"chance of such a finding where there is nothing: {chance(e.p_value)}",
             f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)"]
     return f"How sure: {'; '.join(said)}."
+
+
+def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:
+    """(what, how large, why it is no finding) of a remark."""
+    text = size(remark).removeprefix(", ")
+    unknown = remark.parameters.get("magnitude")
+    return title(remark), text or (number(unknown.value, unknown.unit) if unknown else ""), remark.reason
 
 
 def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:

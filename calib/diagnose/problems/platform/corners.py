@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.tolerances import FINDER
 from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from vision import lens
@@ -13,7 +14,6 @@ from vision.bundle.derivatives import derivatives
 from vision.observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
-FINDER = 0.005  # px; standard deviation of what a corner finder may shift all edges of a camera's images by
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
@@ -98,7 +98,7 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: 
         moved = np.zeros_like(quads)
         moved[seen_by] = EdgeBias(f"camera {camera.name}", 1.0).print_(camera, quads[seen_by]) - quads[seen_by]
         rows = np.flatnonzero(o.camera == i)
-        found.add(at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None], camera.name, (EDGES,), [1 / FINDER])
+        found.add(at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None], camera.name, (EDGES,), [1 / FINDER.sigma])
 
 
 def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

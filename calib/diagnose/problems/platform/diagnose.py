@@ -17,6 +17,7 @@ from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, Linea
 from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
 from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
 from calib.store import Calibration
 from rig.effects.base import Effect
@@ -42,7 +43,7 @@ class PlatformDiagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
     moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
     selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
-    left : [LackOfFit]; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by"""
+    left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by"""
 
     recording: str
     source: str
@@ -52,6 +53,7 @@ class PlatformDiagnosis:
     cross_validations: list[CrossValidation]
     fits: dict[str, CrossValidation]
     left: list[LackOfFit]
+    remarks: Remarks
     not_asked: list[NotAsked]
     noise: Noise
     origin: Origin = Origin()
@@ -91,6 +93,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     if left:
         selection = supported(problem, selection, left)
         left = problem.lack_of_fit(problem.residual(selection.fit))
+    selection, left, remarks = set_apart(problem, selection, left)
     selection = unlogged(problem, selection)
     selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined)))
     refined = selection.fit.refined
@@ -98,7 +101,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks = {"corners": CORNERS} if point.seen is not None else {}
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
-    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, not_asked,
+    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks, not_asked,
                              _noise(refined.model), recording.origin)
 
 

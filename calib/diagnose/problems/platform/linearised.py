@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.linear import Block, Column, LinearModel, explicit, orthonormal
-from calib.diagnose.problems.platform.corners import FINDER, MEDIAN, CornerRows, corner_rows, edges_of
+from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
 from calib.diagnose.problems.platform.geometry import PRIOR, closure_jacobian, count, geometry
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.diagnose.tolerances import FINDER
 from rig import mechanisms
 
 CORNERS, CLOSURES = 0, 1  # the blocks
@@ -151,7 +152,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
     for i, j in edges_of(tuple(names), k.design) if k.finder else ():
-        beforehand[j, 0] = -k.finder[i] / FINDER
+        beforehand[j, 0] = -k.finder[i] / FINDER.sigma
     if k.axes and k.known is not None:
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (geometry(mechanism) - geometry(k.design.mechanism))

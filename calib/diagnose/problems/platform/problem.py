@@ -12,6 +12,7 @@ from calib.diagnose.engine.policy import PLATFORM, SelectionPolicy
 from calib.diagnose.engine.problem import Wald
 from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.platform import lack_of_fit as remainder
+from calib.diagnose.problems.platform import tolerated
 from calib.diagnose.problems.platform.candidates import PlatformCandidate
 from calib.diagnose.problems.platform.coordinates import tangents
 from calib.diagnose.problems.platform.heldout import cross_validate
@@ -33,18 +34,23 @@ class PlatformFit:
 
 @dataclass(slots=True, eq=False)
 class PlatformProblem:
-    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; sensitivities : kept from search to search."""
+    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; sensitivities : kept from search to search
+    tolerant : whether what tolerances may do on their own is among the nuisances: from the start where they are seen to be at work"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
     policy: SelectionPolicy = PLATFORM
     sensitivities: Sensitivities = field(init=False)
+    tolerant: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         self.sensitivities = Sensitivities(self.point)
 
     def start(self) -> PlatformFit:
-        return PlatformFit(refine(self.point, self.sensitivities))
+        refined = refine(self.point, self.sensitivities)
+        found = tolerated.tolerated(refined.model, self.sensitivities)
+        self.tolerant = found is not None and tolerated.at_work(refined.model, found)
+        return PlatformFit(refined)
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return list(fit.terms)
@@ -53,7 +59,7 @@ class PlatformProblem:
         return fit.refined.model.size
 
     def residual(self, fit: PlatformFit) -> LinearisedModel:
-        return fit.refined.marginalised
+        return self._beside_tolerances(fit.refined.marginalised)
 
     def without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
         return self.marginalised(self.beside(fit, number))
@@ -69,7 +75,12 @@ class PlatformProblem:
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
         _, column = tangents(model, self.sensitivities)
-        return model if column is None else model.marginalise(column)
+        return self._beside_tolerances(model if column is None else model.marginalise(column))
+
+    def _beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
+        """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
+        found = tolerated.tolerated(model, self.sensitivities) if self.tolerant else None
+        return model if found is None else tolerated.beside(model, found)
 
     def covered(self, fit: PlatformFit, number: int, left: list[LackOfFit]) -> LinearisedModel:
         model = self.beside(fit, number)

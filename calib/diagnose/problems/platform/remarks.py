@@ -1,0 +1,82 @@
+"""What is there beyond chance and still no finding, since tolerances may do as much on their own: set apart from what matters."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.score import Score
+from calib.diagnose.engine.select import Finding, Selection, convincing
+from calib.diagnose.problems.platform.heldout import change
+from calib.diagnose.problems.platform.linearised import CORNERS
+from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.tolerated import Slight, slight, tolerated
+from calib.diagnose.tolerances import STILL
+
+LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
+LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too
+TOGETHER = "printed markers, the corner finder and thermometers may do on their own"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remarks:
+    """findings : [(Finding, reason)] admitted that do not matter; left : [(LackOfFit, reason)]; sites : [Slight] of tolerances beyond chance
+    reason : in words that follow "no more than"."""
+
+    findings: list[tuple[Finding, str]]
+    left: list[tuple[LackOfFit, str]]
+    sites: list[Slight]
+
+
+def set_apart(problem: PlatformProblem, selection: Selection[PlatformFit],
+              left: list[LackOfFit]) -> tuple[Selection[PlatformFit], list[LackOfFit], Remarks]:
+    """(Selection of what matters, what is left and matters, Remarks). The problem is tolerant from here on where it found anything."""
+    fit, known = selection.fit, problem.tolerant
+    if not known and not selection.findings and not left:
+        return selection, left, Remarks([], [], [])
+    matters, small = [], []
+    for f in selection.findings:
+        reason = _reason(problem, selection, f, known)
+        if reason is None:
+            matters.append(f)
+        else:
+            small.append((f, reason))
+    problem.tolerant = True
+    stays = left if known else problem.lack_of_fit(problem.residual(fit))
+    gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
+    tiny = [(u, STILL.reason) for u in stays if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit]
+    stays = [u for u in stays if not any(u is v for v, _ in tiny)]
+    found = tolerated(fit.refined.marginalised, problem.sensitivities) if known else None
+    sites = [] if found is None else slight(fit.refined.marginalised, found)
+    return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
+
+
+def _reason(problem: PlatformProblem, selection: Selection[PlatformFit], finding: Finding, known: bool) -> str | None:
+    """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was found"""
+    fit, kind = selection.fit, selection.fit.terms[finding.number].kind
+    if kind.view in LASTING_VIEWS and problem.block(fit.terms[finding.number]) == CORNERS and displaced(fit, finding.number) < STILL.limit:
+        return STILL.reason
+    if known:
+        return None
+    share = []
+    for problem.tolerant in (False, True):
+        score = problem.rescored(problem.without_term(fit, finding.number), fit, finding.number)
+        share.append(score.delta_chi2 * score.dispersion)
+    return None if convincing(weakened(finding.score, share[1] / share[0]), selection.asked, problem.size(fit), problem.policy) else TOGETHER
+
+
+def weakened(score: Score, share: float) -> Score:
+    """A Score of which tolerances leave a share of its delta chi-square."""
+    delta = score.delta_chi2 * min(share, 1.0)
+    chance = float(chi2.sf(delta, score.freedom))
+    return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
+
+
+def displaced(fit: PlatformFit, number: int) -> float:
+    """px RMS by which an admitted effect moves the corners that it moves at all, cameras and poses having taken what they can."""
+    k, model = fit.refined.point, fit.refined.model
+    others = [e for i, e in enumerate(k.effects) if i != number]
+    square = model.linear.project(change(model, others)).gram[0, 0]
+    touched = np.count_nonzero((k.pixels() != k.pixels(tuple(others))).any(axis=1))
+    return float(model.corner_noise() * np.sqrt(max(square, 0.0) / max(touched, 1)))

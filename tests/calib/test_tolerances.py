@@ -1,0 +1,75 @@
+"""A finding has to matter: what printers, finders and thermometers may do on their own is a remark with its size, and hides nothing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.diagnose.problems.platform import tolerated
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.problems.platform.linearised import CLOSURES, linearise
+from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.diagnose.report.page import diagnosis_page
+from calib.diagnose.report.platform import report
+from calib.diagnose.report.platform_view import PlatformView
+from calib.diagnose.tolerances import PLACES, SIDES
+from rig import effects
+from synthetic import printing
+from tests.calib.recorded import recorded
+
+ROUTE, PRINTED = "sobol:30,ladder:1", ["print_scale", "face_misplacement", "cube_misplacement", "edge_bias", "lens_distortion", "backlash"]
+
+
+def printed(design, place, side, seed=1):
+    return printing.drawn(design, np.random.default_rng(seed), place, side)
+
+
+@pytest.mark.parametrize(("place", "side"), [pytest.param(1e-5, 0.0, marks=pytest.mark.slow),
+                                               pytest.param(0.0, 2.5e-4, marks=pytest.mark.slow), (5e-6, 2e-4)])
+def test_markers_printed_within_tolerance_are_no_finding(tmp_path, design, place, side):
+    found = diagnose(recorded(tmp_path, design, [printed(design, place, side)], 11, ROUTE, 0.03), only=PRINTED)
+    tree = json.loads(json.dumps(report(found).tree()))
+    assert tree["findings"] == [] and tree["unexplained"] is None
+
+
+def test_all_sides_off_by_a_part_in_two_thousand_are_a_remark_with_their_size(tmp_path, design):
+    rec = recorded(tmp_path, design, [f"print_scale:markers:scale={SIDES.limit}"], 11, ROUTE, 0.03)
+    found = diagnose(rec, only=PRINTED)
+    tree = json.loads(json.dumps(report(found).tree()))
+    assert tree["findings"] == [] and tree["unexplained"] is None
+    said = {(r["effect"], r["place"]): r for r in tree["remarks"]}["print_scale", "markers"]
+    low, high = said["parameters"]["scale"]["ci95"]
+    assert low < SIDES.limit < high and high - low < SIDES.limit and "0.05 %" in said["reason"]
+    diagnosis_page(tmp_path / "page.html", report(found), PlatformView(rec, found))
+    assert "print scale at markers" in (tmp_path / "page.html").read_text()
+
+
+def test_what_is_beyond_tolerance_is_a_finding_beside_what_is_within(tmp_path, design):
+    hidden = ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0", "backlash:strut2:gap=6e-5"]
+    found = diagnose(recorded(tmp_path, design, [*hidden, printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03), only=PRINTED)
+    assert {(e.name, e.place) for e in found.effects} == {("face_misplacement", "marker 8"), ("backlash", "strut 2")} and not found.left
+
+
+def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
+    point = of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
+    model, sensitivities = linearise(point), Sensitivities(point)
+    found = tolerated.tolerated(model, sensitivities)
+    assert not tolerated.at_work(model, found) and tolerated.slight(model, found) == []
+    tolerant = tolerated.beside(model, found)
+    assert tolerant.size <= model.size and tolerant.linear.cost() <= model.linear.cost()
+    basis, closures = tolerant.linear.columns.parts, tolerant.closure_residual
+    assert np.abs(basis[0].T @ tolerant.corner_residual + basis[CLOSURES].T @ closures).max() < 1e-6
+
+
+def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
+    """The cost that is left beside tolerances is that of the best sizes under their priors."""
+    scale = effects.BY_NAME["print_scale"]("markers", 4 * SIDES.limit)
+    point = of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
+    model, sensitivities = linearise(point), Sensitivities(point)
+    found = tolerated.tolerated(model, sensitivities)
+    seen = model.linear.project(found.column)
+    best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
+    assert tolerated.at_work(model, found)
+    assert tolerated.beside(model, found).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)
+    assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
