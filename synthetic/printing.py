@@ -13,14 +13,15 @@ from vision.targets import MarkerMap, marker_map
 
 @dataclass(frozen=True, slots=True)
 class Printing(Effect):
-    """offsets (2 m) : m, each marker's shift in its plane, x right and y up, in the map's order; scales (m) : its printed side over the stated, less 1."""
+    """offsets (2 m) : m, each marker's shift in its plane, x right and y up, in the map's order
+    scales (m) : its printed side over the stated, less 1"""
 
     place: str
     offsets: tuple[float, ...]
     scales: tuple[float, ...]
-    name: ClassVar = "printing"
-    stage: ClassVar = "targets"
-    places: ClassVar = ("markers",)
+    name: ClassVar[str] = "printing"
+    stage: ClassVar[str] = "targets"
+    places: ClassVar[tuple[str, ...]] = ("markers",)
 
     def attach(self, markers: MarkerMap) -> MarkerMap:
         tangent = np.zeros((len(markers.id), 6))

@@ -12,7 +12,19 @@ from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.refine import Z95, Refined
 from calib.diagnose.problems.platform.tolerated import Slight
-from calib.diagnose.report.schema import UNKNOWN, AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, RemarkEntry, Report, Unexplained, Value, write
+from calib.diagnose.report.schema import (
+    UNKNOWN,
+    AlternativeEntry,
+    Evidence,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    RemarkEntry,
+    Report,
+    Unexplained,
+    Value,
+    write,
+)
 from rig import machine_file
 from rig.effects import BY_NAME
 from rig.effects.base import Effect

@@ -101,8 +101,8 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks = {"corners": CORNERS} if point.seen is not None else {}
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
-    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks, not_asked,
-                             _noise(refined.model), recording.origin)
+    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
+                             not_asked, _noise(refined.model), recording.origin)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:
