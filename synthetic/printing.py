@@ -19,9 +19,9 @@ class Printing(Effect):
     place: str
     offsets: tuple[float, ...]
     scales: tuple[float, ...]
-    name: ClassVar[str] = "printing"
-    stage: ClassVar[str] = "targets"
-    places: ClassVar[tuple[str, ...]] = ("markers",)
+    name: ClassVar = "printing"
+    stage: ClassVar = "targets"
+    places: ClassVar = ("markers",)
 
     def attach(self, markers: MarkerMap) -> MarkerMap:
         tangent = np.zeros((len(markers.id), 6))
