@@ -1,14 +1,16 @@
 """The page of a lens calibration: models held out, residual map, uncertainty of projection over the frame."""
 
 import html
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from calib.report import page, table
+from vision.lenses.photographs import Calibrated
 
 
-def lens_page(path, found):
+def lens_page(path: Path | str, found: Calibrated) -> None:
     """Write the page of a Calibrated."""
     fit = found.fit
     rows = [(f"{terms} terms" if terms else "no distortion", *((f"{model.rms:.4f}", f"{model.held.rms:.4f}") if model.held else (model.reason, "")),
@@ -31,7 +33,7 @@ def lens_page(path, found):
     page(path, f"Lens of {html.escape(fit.camera.name)}", parts)
 
 
-def _held(found):
+def _held(found: Calibrated) -> Figure:
     figure = Figure(figsize=(11, 2.8), layout="constrained")
     axes = figure.subplots()
     for terms, model in found.models.items():
@@ -43,7 +45,7 @@ def _held(found):
     return figure
 
 
-def _residuals(found):
+def _residuals(found: Calibrated) -> Figure:
     fit, uv = found.fit, found.observations.uv
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots()
@@ -57,7 +59,7 @@ def _residuals(found):
     return figure
 
 
-def _uncertainty(found):
+def _uncertainty(found: Calibrated) -> Figure:
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots()
     drawn = axes.pcolormesh(found.uv[..., 0], found.uv[..., 1], found.sigma, cmap="viridis", shading="nearest")

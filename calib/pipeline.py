@@ -1,11 +1,14 @@
 """A recording -> its samples, from whichever instrument it has."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.samples import Samples, samples
 from rig.errors import NotEnoughData, RigError
+from rig.observed import Corners
+from rig.recording import Recording
 from vision.measure import Measurement
 from vision.reading.collect import Collected
 from vision.recorded import measure_recording
@@ -23,7 +26,8 @@ class Sampled:
     collected: Collected | None
 
 
-def sample_recording(recording, free=("poses", "lenses"), progress=None, look=None):
+def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "lenses"), progress: Callable[[str, int, int], None] | None = None,
+                     look: Callable[[Corners], None] | None = None) -> Sampled:
     """Sampled of a recording: its outside instrument's poses where rig.toml names one, else its corners or images, else poses.csv.
 
     progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None
@@ -42,7 +46,7 @@ def sample_recording(recording, free=("poses", "lenses"), progress=None, look=No
     return Sampled(samples(recording, measured.frames, measured.T_base_platform, own, measured.common), source, measured, collected)
 
 
-def _from_poses(recording):
+def _from_poses(recording: Recording) -> Samples:
     instrument, poses = recording.design.instrument, recording.poses
     kind = recording.design.mechanism.kind
     if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":

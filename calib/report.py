@@ -3,17 +3,32 @@
 import base64
 import html
 import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib.certify.certificate import HeldOut, errors_of
+from calib.certify.calibration import Calibration
+from calib.certify.held_out import Figures
+from calib.certify.held_out import HeldOut, errors_of
 from calib.certify.claim import Claim
 from calib.identify.observability import combinations
 from calib.certify.verdict import verdict
+from calib.correct.correction import Correction
+from calib.correct.interpolate.radial import Radial
+from calib.identify.geometry import Identified
+from calib.samples import Samples
 from rig import mechanisms
+from rig.design import Hexapod
 from rig.files import write_text
 from rig.pose import vector
+from rig.recording import Recording
+from vision.bundle.places import Places
+from vision.measure import Measurement
+from vision.pose.identity import Suspect
+from vision.reading.collect import Collected
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
@@ -21,7 +36,7 @@ td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}td:first-
 .note{color:#666;font-size:.9em}"""
 
 
-def page(path, title, parts):
+def page(path: Path | str, title: str, parts: Sequence[str | Figure]) -> None:
     """Write a self-contained HTML page. parts : strings of HTML and matplotlib Figures, in order."""
     body = "\n".join(_picture(part) if isinstance(part, Figure) else part for part in parts)
     text = (f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
@@ -29,21 +44,22 @@ def page(path, title, parts):
     write_text(path, text)
 
 
-def table(header, rows):
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """HTML of a table: header and rows of text."""
-    def cells(row, tag):
+    def cells(row: Sequence[Any], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in row) + "</tr>"
 
     return "<table>" + cells(header, "th") + "".join(cells(row, "td") for row in rows) + "</table>"
 
 
-def _picture(figure):
+def _picture(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
 
 
-def measurement_page(path, recording, measurement, collected, places=None, statement=(), suspects=()):
+def measurement_page(path: Path | str, recording: Recording, measurement: Measurement, collected: Collected | None, places: Places | None = None,
+                     statement: Sequence[str] = (), suspects: Sequence[Suspect] = ()) -> None:
     """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
 
     places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording determines
@@ -80,7 +96,7 @@ def measurement_page(path, recording, measurement, collected, places=None, state
     page(path, f"Measurement of {recording.folder.resolve().name}", parts)
 
 
-def _residual_maps(m):
+def _residual_maps(m: Measurement) -> Figure:
     cameras = m.design.cameras
     figure = Figure(figsize=(11, 3.4 * -(-len(cameras) // 3)), layout="constrained")
     for i, camera in enumerate(cameras):
@@ -105,7 +121,7 @@ def _residual_maps(m):
     return figure
 
 
-def coverage(vectors):
+def coverage(vectors: np.ndarray) -> Figure:
     """Figure of where poses lie: vectors (n, 6) position (m) and rotation vector (rad)."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     axes = figure.subplots(1, 3)
@@ -119,7 +135,7 @@ def coverage(vectors):
     return figure
 
 
-def _uncertainty(m, position, rotation):
+def _uncertainty(m: Measurement, position: np.ndarray, rotation: np.ndarray) -> Figure:
     figure = Figure(figsize=(11, 2.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.plot(m.frames, position * 1e6, ".", ms=4)
@@ -129,7 +145,7 @@ def _uncertainty(m, position, rotation):
     return figure
 
 
-def _cameras(recording, m):
+def _cameras(recording: Recording, m: Measurement) -> str:
     sigma = dict(zip(m.adjustment.shared_names, np.sqrt(np.diag(m.adjustment.shared_covariance))))
     rows = []
     for stated, found in zip(recording.design.cameras, m.design.cameras):
@@ -140,13 +156,13 @@ def _cameras(recording, m):
     return table(("camera", "moved, mm", "turned, mrad", "fx, px (k = 2)", "fy", "cx", "cy"), rows)
 
 
-def _moves(places):
+def _moves(places: Places) -> str:
     rows = [(move.name, "yes" if move.moved else "no", *(f"{by * 1e3:+.3f} ± {half * 1e3:.3f}" for by, half in zip(move.by, move.ci95)))
             for move in places.moves]
     return table(("marker", "moved", "x, mm", "y, mm", "z, mm", "rx, mrad", "ry, mrad", "rz, mrad"), rows)
 
 
-def _residuals(places):
+def _residuals(places: Places) -> Figure:
     figure = Figure(figsize=(11, 2.8), layout="constrained")
     axes = figure.subplots()
     axes.semilogy(places.frames, places.before, ".", ms=4, label="places as stated")
@@ -156,7 +172,7 @@ def _residuals(places):
     return figure
 
 
-def _worst_markers(m):
+def _worst_markers(m: Measurement) -> list[tuple[int, int, str]]:
     o, known = m.observations, np.isfinite(m.residuals[:, 0])
     rows = []
     for marker in np.unique(o.marker[known]):
@@ -168,7 +184,7 @@ def _worst_markers(m):
     return [(ids[marker], count, f"{share:.0%}") for share, marker, count in sorted(rows, reverse=True)[:12]]
 
 
-def calibration_page(path, recording, calibration, samples, found):
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, found: Identified) -> None:
     """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
     correction = calibration.correction
     parts = [*worth(calibration.claim), *_held(calibration.held_out),
@@ -200,7 +216,7 @@ def _held(held: HeldOut | None) -> list[str]:
             table(("held-out pose error", "RMS, mm", "95 %, mm", "max, mm", "RMS, mrad", "95 %, mrad", "max, mrad"), rows)]
 
 
-def _combinations(calibration, found):
+def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
     parts, seen = combinations(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
@@ -208,11 +224,11 @@ def _combinations(calibration, found):
             + table(("combination", "standard error by the poses alone, um"), rows) + "</details>")
 
 
-def _figures(f):
+def _figures(f: Figures) -> list[str]:
     return [f"{value * 1e3:.4f}" for value in (*f.position, *f.rotation)]
 
 
-def before_after(before, after, frames):
+def before_after(before: np.ndarray, after: np.ndarray, frames: np.ndarray) -> Figure:
     """Figure of errors (n, 6) m and rad before and after correction, frame by frame; rotations that were not measured are nan and left out."""
     figure = Figure(figsize=(11, 3), layout="constrained")
     seen = [(part, label) for part, label in ((slice(0, 3), "position, mm"), (slice(3, 6), "rotation, mrad")) if np.isfinite(after[:, part]).all()]
@@ -224,7 +240,7 @@ def before_after(before, after, frames):
     return figure
 
 
-def _corrections(correction, samples):
+def _corrections(correction: Correction[Hexapod, Radial], samples: Samples) -> Figure:
     seen = samples.commanded - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
     modelled = correction.summand(samples.commanded)
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -236,7 +252,7 @@ def _corrections(correction, samples):
     return figure
 
 
-def _left(samples, found):
+def _left(samples: Samples, found: Identified) -> Figure:
     figure = Figure(figsize=(11, 3), layout="constrained")
     axes = figure.subplots()
     sigma = np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())
@@ -248,7 +264,7 @@ def _left(samples, found):
     return figure
 
 
-def _parameters(calibration):
+def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))
     rows = []
@@ -262,12 +278,12 @@ def _parameters(calibration):
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
 
-def origin(calibration):
+def origin(calibration: Calibration) -> str:
     """HTML of where a calibration came from; the marks of its data are for programs."""
     return table(("what", "value"), flat({name: part for name, part in calibration.provenance.items() if name != "data"}))
 
 
-def flat(tree, prefix=""):
+def flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Rows (name, value) of a nested dict, for a table."""
     rows = []
     for key, value in tree.items():

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
+from rig.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,24 +27,25 @@ class Samples:
     covariance: np.ndarray
     common: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not len(self.frame):
             raise NotEnoughData("there is no frame with both a command and a measured pose")
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, index):
+    def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
                        self.common[index])
 
-    def total_covariance(self):
+    def total_covariance(self) -> np.ndarray:
         """(n, 6, 6) covariance of each pose, shared errors included."""
         return self.covariance + self.common @ np.swapaxes(self.common, 1, 2)
 
 
-def samples(recording, frames, T_base_platform, covariance, common=None):
+def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray,
+            common: np.ndarray | None = None) -> Samples:
     """Samples of a recording's commands and poses measured at some of its frames.
 
     frames : (f,) numbers of the measured frames; covariance : (f, 6, 6) without what `common` (f, 6, k) adds
@@ -55,6 +57,6 @@ def samples(recording, frames, T_base_platform, covariance, common=None):
     return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common)
 
 
-def blocks(count, folds):
+def blocks(count: int, folds: int) -> np.ndarray:
     """(count,) fold number of each sample: whole stretches in time, as equal as can be, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)

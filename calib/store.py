@@ -5,17 +5,21 @@ import json
 import math
 import os
 import platform
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from datetime import datetime, UTC
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.arms.correction import ArmCorrection
 from calib.arms.model import names
 from calib.arms.profile import Profile
-from calib.certify.certificate import Figures, HeldOut
+from calib.certify.calibration import Calibration
+from calib.certify.held_out import Figures, HeldOut
 from calib.certify.claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolate.radial import Radial
@@ -42,25 +46,7 @@ _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,
 NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
-    """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an arm
-    (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
-    (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
-    held_out : HeldOut, or None where too few configurations were recorded to hold any out
-    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one"""
-
-    correction: Correction
-    covariance: np.ndarray
-    scatter: np.ndarray
-    frames: tuple[int, ...]
-    left_out: tuple[int, ...]
-    held_out: HeldOut | None
-    provenance: dict
-    claim: Claim | None = None
-
-
-def provenance(recording, arguments, seed, used_images):
+def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool) -> dict[str, Any]:
     """dict of the inputs' SHA-256, the marks of their data (see rig.provenance), versions, arguments and seed.
 
     recording : Recording; used_images : whether they were read
@@ -81,14 +67,14 @@ def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
     return shared(marks(recording), calibration.provenance.get("data", ()))
 
 
-def _hash(paths):
+def _hash(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         digest.update(Path(path).read_bytes())
     return digest.hexdigest()
 
 
-def save(path, calibration):
+def save(path: Path | str, calibration: Calibration) -> None:
     """Write a calibration.json, whole or not at all."""
     correction = calibration.correction
     arm = correction.nominal.kind == "arm"
@@ -106,7 +92,7 @@ def save(path, calibration):
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
-def load(path):
+def load(path: Path | str) -> Calibration:
     """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
     of another shape or a number that cannot be."""
     tree = json_file.load(path, "calibration", SCHEMA)
@@ -124,7 +110,7 @@ def load(path):
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None)
 
 
-def mechanism_out(mechanism):
+def mechanism_out(mechanism: Hexapod | Arm) -> dict[str, Any]:
     """dict of a Hexapod or an Arm, as JSON holds it."""
     if mechanism.kind == "arm":
         return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
@@ -133,7 +119,7 @@ def mechanism_out(mechanism):
             "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
 
-def mechanism_in(table):
+def mechanism_in(table: Entries) -> Hexapod | Arm:
     """Hexapod or Arm of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
     kind = table.text("kind", ("hexapod", "arm"))
     if kind == "arm":
@@ -148,17 +134,17 @@ def mechanism_in(table):
                    table.array("strut_zeros", (6,), length_limit=LARGEST_RIG))
 
 
-def _pose_out(T):
+def _pose_out(T: RigidTransform) -> dict[str, list[float]]:
     position, rotvec = np.split(vector(T), 2)
     return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
-def _part_out(part):
+def _part_out(part: Radial | Profile) -> dict[str, Any]:
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in
             ((name, getattr(part, name)) for name in type(part).__slots__)}
 
 
-def _parts_in(tree, axes, arm):
+def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
     """Per axis a Radial, of an arm a Profile, or None."""
     listed = tree.get("remainder")
     if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
@@ -167,7 +153,7 @@ def _parts_in(tree, axes, arm):
     return tuple(None if table is None else (_profile_in if arm else _radial_in)(table, axes) for table in tables)
 
 
-def _radial_in(table, axes):
+def _radial_in(table: Entries, axes: int) -> Radial:
     inputs = table.array("inputs", (None, axes))
     half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
     for name, values in (("half", half), ("lengths", lengths)):
@@ -177,12 +163,12 @@ def _radial_in(table, axes):
                   table.array("sizes", (2,)), lengths, table.number("noise"))
 
 
-def _profile_in(table, axes):
+def _profile_in(table: Entries, axes: int) -> Profile:
     orders = table.array("orders", (None,))
     return Profile(table.whole("axis", 0, most=axes - 1), orders, table.array("own", (2 * len(orders),)), table.array("others", (axes, 2)))
 
 
-def _covariance_in(tree, count):
+def _covariance_in(tree: Entries, count: int) -> np.ndarray:
     """(count, count), symmetric to rounding."""
     covariance = tree.array("parameter_covariance", (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
@@ -192,7 +178,7 @@ def _covariance_in(tree, count):
     return covariance
 
 
-def _spread_in(tree, key):
+def _spread_in(tree: Entries, key: str) -> np.ndarray:
     values = tree.array(key, (None,))
     if len(values) not in ((3, 6) if key == "pose_scatter" else (6,)):  # 3: an arm whose rotations were never measured
         tree.fail(f"{key} must have 6 numbers, got {len(values)}", key)
@@ -201,7 +187,7 @@ def _spread_in(tree, key):
     return values
 
 
-def _held_out_in(table):
+def _held_out_in(table: Entries) -> HeldOut | None:
     """HeldOut, or None where nothing was held out."""
     ratio, after = table.array("ratio", (3,), nulls=True), _figures_in(table.table("after"))
     configurations = table.whole("configurations", 0) if "configurations" in table.tree else after.n  # not in files of before they were counted
@@ -209,8 +195,8 @@ def _held_out_in(table):
                    configurations) if after.n else None
 
 
-def _claim_in(table):
-    def numbers(name, shape):
+def _claim_in(table: Entries) -> Claim:
+    def numbers(name: str, shape: tuple[int, ...]) -> Any:
         return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
 
     return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
@@ -218,16 +204,16 @@ def _claim_in(table):
                  numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"))
 
 
-def _tuples(values):
+def _tuples(values: Any) -> Any:
     return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 
-def _figures_in(table):
+def _figures_in(table: Entries) -> Figures:
     return Figures(table.whole("n", 0), *(tuple(table.array(name, (count,), nulls=True).tolist())
                                           for name, count in (("position", 3), ("rotation", 3), ("bias", 6), ("mean", 2))))
 
 
-def _provenance_in(tree):
+def _provenance_in(tree: Entries) -> dict[str, Any]:
     """The dict that `provenance` made: what is read from it again is checked."""
     table = tree.table("provenance")
     if "data" in table.tree:
@@ -235,7 +221,7 @@ def _provenance_in(tree):
     return table.tree
 
 
-def nulls(tree):
+def nulls(tree: Any) -> Any:
     """The same with null for figures of what was not measured: JSON has no NaN."""
     if isinstance(tree, dict):
         return {name: nulls(value) for name, value in tree.items()}

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.correct.correction import Correction
-from calib.store import Calibration, save
+from calib.certify.calibration import Calibration
+from calib.store import save
 from rig import design_file, mechanisms
 from rig.cli import main
 from rig.clock import SystemClock

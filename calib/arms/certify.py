@@ -1,6 +1,5 @@
 """What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,9 +7,11 @@ import numpy as np
 from calib.arms import model, profile
 from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, needed, parameters
-from calib.arms.observations import of_samples
+from calib.arms.observations import Observations, of_samples
 from calib.arms.place import placed
-from calib.certify.certificate import GAIN, HeldOut, compare, correlation, errors_of
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import GAIN, Progress
+from calib.certify.held_out import HeldOut, compare, correlation, errors_of
 from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.samples import Samples
@@ -41,7 +42,7 @@ class Certified:
 
 
 def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: np.random.Generator,
-            progress: Callable[[str, int, int], None] | None = None) -> Certified:
+            progress: Progress | None = None) -> Certified:
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
     samples : Samples; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
@@ -90,7 +91,8 @@ def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.nd
     return label.max() + 1 >= LEAST and left * found.residuals.shape[1] > found.rank.asked
 
 
-def calibrate(samples, nominal, instrument, profiles, start=None):
+def calibrate(samples: Samples, nominal: Arm, instrument: Instrument | None, profiles: bool,
+              start: Arm | None = None) -> tuple[ArmCorrection, Identified]:
     """(ArmCorrection, Identified) of samples; profiles : whether joint profiles are fitted on top of the geometry.
 
     start : Arm, as `start_of` has it where None. Raises what `identify` raises
@@ -110,14 +112,14 @@ def calibrate(samples, nominal, instrument, profiles, start=None):
     return ArmCorrection(owners, found.arm, parts, observations.q), found
 
 
-def start_of(observations, nominal, instrument):
+def start_of(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
     """The Arm from which a fit starts: nominal, with the instrument's free places as the observations have them, and zeros moved along."""
     if instrument is None:
         return nominal
     return placed(observations, nominal, instrument.base == "free", instrument.tool == "free")
 
 
-def owners_model(observations, nominal, instrument, start):
+def owners_model(observations: Observations, nominal: Arm, instrument: Instrument | None, start: Arm) -> Arm:
     """The nominal Arm, standing and holding its target where the instrument's free places put it; nothing else is fitted.
 
     start : Arm of `start_of`"""
@@ -128,14 +130,15 @@ def owners_model(observations, nominal, instrument, start):
     return identify(observations, replace(nominal, base=start.base, tool=start.tool), free, np.inf).arm
 
 
-def model_covariance(calibration, commands):
+def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
     """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters' and what the model leaves."""
     J = model.parameter_jacobian(commands, calibration.correction.fitted)
     known = np.arange(6) < len(calibration.scatter)  # of rotations that were never measured, nothing is known beyond the parameters
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
 
 
-def _held_out(samples, nominal, instrument, plan, profiles, said):
+def _held_out(samples: Samples, nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], profiles: bool,
+              said: Progress) -> tuple[np.ndarray, np.ndarray]:
     part, start = plan
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
     for k in np.unique(part):
@@ -145,7 +148,7 @@ def _held_out(samples, nominal, instrument, plan, profiles, said):
     return before, after
 
 
-def _spread(errors):
+def _spread(errors: np.ndarray) -> np.ndarray:
     """(6,) a robust scale of positions and of rotations, for comparing two fits."""
     return np.repeat([np.median(np.abs(errors[:, part])) for part in (slice(0, 3), slice(3, 6))], 3) + 1e-15
 

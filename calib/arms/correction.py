@@ -7,8 +7,11 @@ configuration-space patent for the summands on top.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from calib.arms.profile import Profile
 from calib.correct.correction import Correction
+from rig.design import Arm
 from rig.errors import Unreachable
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference
@@ -21,21 +24,21 @@ RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmCorrection(Correction):
+class ArmCorrection(Correction[Arm, Profile]):
     """nominal, fitted : Arm, bases and tools in the instrument's frames; remainder : per joint a Profile or None
     visited : (n, joints) rad, configurations it was fitted to: a wanted pose is taken as they took it, elbow and wrist alike."""
 
     visited: np.ndarray
 
-    def summand(self, commands):
+    def summand(self, commands: np.ndarray) -> np.ndarray:
         """KSF (..., joints) rad at commands: commanded less what the owner's model says for the pose that it gives."""
         return commands - mechanism.inverse(self.predict(commands), self.nominal, commands)
 
-    def uncorrected(self, T_base_platform):
+    def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., joints) rad that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
         return mechanism.inverse(T_base_platform, self.nominal, self._near(T_base_platform)[:, 0])
 
-    def inverse(self, T_base_platform, guess=None):
+    def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
         """Commands (..., joints) rad that give wanted poses (...); limits are for `reachable` to check.
 
         guess : (..., joints) rad, what is near; by default the nearest visited configurations
@@ -63,7 +66,7 @@ class ArmCorrection(Correction):
                               [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
         return commands.reshape(*shape, n)
 
-    def _compensate(self, T, q):
+    def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(commands, left): from joint solutions q (m, n) of the owner's model, by differential error transforms."""
         offset = self.fitted.rows[:, 0] - self.nominal.rows[:, 0]
         rest = replace(self.fitted, joints=np.column_stack([self.nominal.rows[:, :1], self.fitted.rows[:, 1:]]))
@@ -82,7 +85,7 @@ class ArmCorrection(Correction):
         commands = best - offset
         return mechanism.wrapped(commands, self.nominal, commands), left
 
-    def _near(self, T):
+    def _near(self, T: RigidTransform) -> np.ndarray:
         """(m, NEAR, joints) visited configurations whose poses are nearest to T (m,), nearest first."""
         at = self.predict(self.visited)
         vectors, matrices = at.translation, at.rotation.as_matrix()

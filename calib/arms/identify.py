@@ -7,10 +7,12 @@ Source: lecture on the manipulator Jacobian, eqs 4.63-4.65 and steps (1)-(6); co
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.arms import model
+from calib.arms.observations import Observations
 from calib.arms.rank import Rank, independent
 from rig.design import Arm
 from rig.errors import NotEnoughData, RigError
@@ -47,7 +49,7 @@ class Identified:
     iterations: int
 
 
-def parameters(arm, kind):
+def parameters(arm: Arm, kind: str) -> np.ndarray:
     """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances.
 
     Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a row's two
@@ -70,7 +72,7 @@ def parameters(arm, kind):
     return np.concatenate([base, free.ravel(), tool])
 
 
-def identify(observations, nominal, free=None, farthest=FARTHEST):
+def identify(observations: Observations, nominal: Arm, free: np.ndarray | None = None, farthest: float = FARTHEST) -> Identified:
     """Identified : the parameters that explain the observations.
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.arms.place)
@@ -116,8 +118,17 @@ class _Fit:
     left: np.ndarray
 
 
-def _settle(observations, arm, free, inliers, scatter):
-    """Gauss-Newton for given weights: (Arm, Rank, the last linear solve, steps taken)."""
+class _Settled(NamedTuple):
+    """arm : Arm; rank : Rank; fit : the last linear solve; iterations : steps taken."""
+
+    arm: Arm
+    rank: Rank
+    fit: _Fit
+    iterations: int
+
+
+def _settle(observations: Observations, arm: Arm, free: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> _Settled:
+    """Gauss-Newton for given weights."""
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
     B = W @ observations.jacobian(arm)[inliers]
     rank = independent(B.reshape(-1, B.shape[-1]), free, model.names(arm), model.units(arm))
@@ -128,12 +139,12 @@ def _settle(observations, arm, free, inliers, scatter):
         step[rank.free] = fit.step / max(1.0, np.abs(fit.step).max() / LONGEST_STEP)
         arm = model.moved(arm, step)
         if np.abs(step).max() < CONVERGED:
-            return arm, rank, fit, iteration + 1
+            return _Settled(arm, rank, fit, iteration + 1)
     raise RigError(f"the arm's parameters did not settle in {MAX_ITERATIONS} steps (last step {np.abs(step).max():.3g} m or rad): "
                    "are the joint angles those of these poses, and is [mechanism] joints near the truth?")
 
 
-def _solve(r, J, common, W, inliers):
+def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inliers: np.ndarray) -> _Fit:
     """One weighted least squares, the common errors solved for with the parameters."""
     count = common.shape[2]
     M = (W @ np.concatenate([J, common], axis=2)[inliers]).reshape(-1, J.shape[2] + count)
@@ -150,7 +161,7 @@ def _solve(r, J, common, W, inliers):
     return _Fit(solution[: J.shape[2]], shared, (half @ half.T)[: J.shape[2], : J.shape[2]], left)
 
 
-def _scatter(left, observations, inliers, fitted):
+def _scatter(left: np.ndarray, observations: Observations, inliers: np.ndarray, fitted: int) -> np.ndarray:
     """(k,) scatter beyond the instrument's own: one figure for the three positions, one for the three rotations."""
     out = np.zeros(left.shape[1])
     freedom = max(1 - fitted / (inliers.sum() * left.shape[1]), 0.1)
@@ -163,7 +174,7 @@ def _scatter(left, observations, inliers, fitted):
     return out
 
 
-def _inliers(left, observations, scatter):
+def _inliers(left: np.ndarray, observations: Observations, scatter: np.ndarray) -> np.ndarray:
     sigma = np.sqrt(np.einsum("mkk->mk", observations.covariance) + scatter**2)
     scale = np.maximum(1.0, 1.4826 * np.median(np.abs(left / sigma), axis=0))
     return (np.abs(left) < GATE * scale * sigma).all(axis=1)

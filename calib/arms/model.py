@@ -10,7 +10,9 @@ M_beta dbeta and the rotational rows); Hayati, CDC 1983.
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference, exp, skew
 
@@ -18,40 +20,40 @@ ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
-def names(arm):
+def names(arm: Arm) -> tuple[str, ...]:
     """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x .. tool rz."""
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
     return tuple([f"base {name}" for name in TANGENT] + rows + [f"tool {name}" for name in TANGENT])
 
 
-def units(arm):
+def units(arm: Arm) -> tuple[str, ...]:
     """Unit of each parameter, "m" or "rad"."""
     ends = ["m"] * 3 + ["rad"] * 3
     return tuple(ends + ["rad", "m", "m", "rad", "rad"] * len(arm.joints) + ends)
 
 
-def moved(arm, step):
+def moved(arm: Arm, step: np.ndarray) -> Arm:
     """The Arm with its parameters moved by step (12 + 5 n,)."""
     rows = arm.rows + np.reshape(step[6:-6], (-1, 5))
     return replace(arm, base=arm.base * exp(step[:6]), joints=rows, tool=arm.tool * exp(step[-6:]))
 
 
-def predicted(q, arm):
+def predicted(q: np.ndarray, arm: Arm) -> RigidTransform:
     """T_base_platform (...) of the instrument's target in the instrument's frame, at joint angles q (..., n) rad."""
     return mechanism.forward(q, arm)
 
 
-def residuals(q, T_measured, arm):
+def residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray:
     """(..., 6) m, rad: measured against predicted pose, position and rotation vector apart, in the predicted target frame."""
     return difference(predicted(q, arm), T_measured)
 
 
-def joint_jacobian(q, arm):
+def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint angles q (..., n) rad."""
     return mechanism.jacobian(q, arm)
 
 
-def parameter_jacobian(q, arm):
+def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., 6, 12 + 5 n) change of the target's pose (tangent on the right, m and rad) with the parameters.
 
     q : (..., n) rad. At the tool the columns are the identity; all others are axis x lever over axis, seen in the target.
@@ -80,7 +82,7 @@ def parameter_jacobian(q, arm):
     return np.swapaxes(out, -1, -2)
 
 
-def _at_base(R, lever):
+def _at_base(R: np.ndarray, lever: np.ndarray) -> np.ndarray:
     """(..., 6, 6), one parameter a row: the base's tangent on its right, seen in the frame of poses; lever (..., 3) m."""
     out = np.zeros((*lever.shape[:-1], 6, 6))
     out[..., :3, :3] = np.swapaxes(R, -1, -2)

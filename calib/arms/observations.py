@@ -6,6 +6,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.arms import model
+from calib.samples import Samples
+from rig.design import Arm
 
 KINDS = {"pose": 6, "position": 3, "distance": 1}  # rows that one observation gives
 
@@ -28,21 +30,21 @@ class Observations:
     covariance: np.ndarray
     common: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
         k, m = KINDS[self.kind], len(self.q)
         if self.covariance.shape != (m, k, k) or self.common.shape[:2] != (m, k):
             raise ValueError(f"expected covariance ({m}, {k}, {k}) and common ({m}, {k}, j), got {self.covariance.shape} and {self.common.shape}")
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.q)
 
-    def take(self, index):
+    def take(self, index: np.ndarray | slice) -> "Observations":
         """The observations of an index or mask (m,)."""
         return Observations(self.kind, self.q[index], self.value[index], self.covariance[index], self.common[index])
 
-    def residuals(self, arm):
+    def residuals(self, arm: Arm) -> np.ndarray:
         """(m, k): observed less predicted."""
         if self.kind == "pose":
             return model.residuals(self.q, self.value, arm)
@@ -51,15 +53,15 @@ class Observations:
             return self.value - position
         return (self.value - np.linalg.norm(position, axis=-1))[:, None]
 
-    def jacobian(self, arm):
+    def jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
         return self._rows(model.parameter_jacobian(self.q, arm), arm)
 
-    def joint_jacobian(self, arm):
+    def joint_jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, n) change of what is predicted with the joint angles."""
         return self._rows(model.joint_jacobian(self.q, arm), arm)
 
-    def _rows(self, J, arm):
+    def _rows(self, J: np.ndarray, arm: Arm) -> np.ndarray:
         if self.kind == "pose":
             return J
         T = model.predicted(self.q, arm)
@@ -70,26 +72,26 @@ class Observations:
         return u[:, None, :] @ J
 
 
-def of_samples(samples):
+def of_samples(samples: Samples) -> Observations:
     """Observations of Samples: whole poses, or positions where rotations were not measured (their variance is infinite)."""
     if np.isfinite(samples.covariance).all():
         return of_poses(samples)
     return of_positions(samples.commanded, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
 
 
-def of_poses(samples):
+def of_poses(samples: Samples) -> Observations:
     """Observations of Samples: whole poses, with their covariance and their common errors."""
     return Observations("pose", samples.commanded, samples.T_base_platform, samples.covariance, samples.common)
 
 
-def of_positions(q, positions, sigma):
+def of_positions(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray) -> Observations:
     """Observations of target positions (m, 3) m at joint angles q (m, n), standard deviation sigma (m, one or m) per axis."""
     variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
     return Observations("position", np.asarray(q, float), np.asarray(positions, float), variance * np.eye(3),
                         np.zeros((len(q), 3, 0)))
 
 
-def of_distances(q, distances, sigma):
+def of_distances(q: np.ndarray, distances: np.ndarray, sigma: float) -> Observations:
     """Observations of a drawn wire's lengths (m,) m at joint angles q (m, n), standard deviation sigma (m)."""
     return Observations("distance", np.asarray(q, float), np.asarray(distances, float), np.full((len(q), 1, 1), sigma**2),
                         np.zeros((len(q), 1, 0)))

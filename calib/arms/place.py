@@ -93,7 +93,7 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
         A, f = (F if tool else np.zeros((len(F), 3, 0))).reshape(3 * len(F), -1), f + X[0].T @ arm.base.translation
     orthonormal = _span(A)
 
-    def left(columns):
+    def left(columns: np.ndarray) -> np.ndarray:
         return columns - orthonormal @ (orthonormal.T @ columns)
 
     # (X'p) of all observations is linear in X: columns for its nine entries
@@ -111,7 +111,8 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
     return [_placed_about(X[i], F, f, p, M, A, arm, (base, tool)) for i in _apart(X, cost)]
 
 
-def _placed_about(X, F, f, p, M, A, arm, unknown):
+def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M: np.ndarray | None, A: np.ndarray, arm: Arm,
+                  unknown: tuple[bool, bool]) -> Arm:
     """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
     base, tool = unknown
     solution = np.linalg.lstsq(A, (p @ X - f).ravel())[0] if A.shape[1] else np.zeros(0)

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.arms.identify import Identified
+from calib.arms.observations import Observations
+
 FINEST = 45.0  # waves per turn of the joint; shorter ones are left out
 MARGIN = 1.15  # of the joint's travel, half the longest wave: so the ends need not meet
 SHARE = 0.1  # of the measured numbers, as many as there may be features
@@ -33,13 +36,13 @@ class Profile:
     own: np.ndarray
     others: np.ndarray
 
-    def __call__(self, q):
+    def __call__(self, q: np.ndarray) -> np.ndarray:
         """(...,) rad at joint angles q (..., n) rad."""
         q = np.asarray(q, float)
         return _waves(q[..., self.axis], self.orders) @ self.own + np.sin(q) @ self.others[:, 0] + np.cos(q) @ self.others[:, 1]
 
 
-def fit(observations, found):
+def fit(observations: Observations, found: Identified) -> tuple[Profile | None, ...]:
     """A Profile or None per joint, of what an Identified arm leaves in observations of whole poses.
 
     The geometry's own freedoms are solved for beside the profiles and thrown away, so that neither takes the other's part.
@@ -67,24 +70,24 @@ def fit(observations, found):
     return tuple(parts)
 
 
-def _orders(angle, most):
+def _orders(angle: np.ndarray, most: float) -> np.ndarray:
     """(k,) waves per turn, evenly from the longest that the joint's travel tells, at most `most` features of them."""
     step = np.pi / (MARGIN * max(np.ptp(angle), np.pi / FINEST))
     return step * np.arange(1, max(min(int(FINEST / step), int(most / 2)), 1) + 1)
 
 
-def _waves(angle, orders):
+def _waves(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
     turned = np.asarray(angle)[..., None] * orders
     return np.concatenate([np.sin(turned), np.cos(turned)], axis=-1)
 
 
-def _features(q, axis, orders):
+def _features(q: np.ndarray, axis: int, orders: np.ndarray) -> np.ndarray:
     """(m, 2 k + 2 (n - 1)) waves of the own angle, then sine and cosine of the other angles."""
     rest = np.delete(q, axis, axis=1)
     return np.concatenate([_waves(q[:, axis], orders), np.stack([np.sin(rest), np.cos(rest)], axis=-1).reshape(len(q), -1)], axis=1)
 
 
-def _evidence(A, y, group):
+def _evidence(A: np.ndarray, y: np.ndarray, group: np.ndarray) -> np.ndarray:
     """(features,) weights of greatest evidence: each group's size set by the fixed point of its well-determined share."""
     H, right = A.T @ A, A.T @ y
     size = np.full(group.max() + 1, START)

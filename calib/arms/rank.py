@@ -19,7 +19,7 @@ class Rank:
     condition: float
     asked: int
 
-    def report(self):
+    def report(self) -> list[str]:
         """Lines for a reader."""
         lines = [f"{self.free.sum()} of {self.asked} parameters fitted; condition number {self.condition:.0f}"]
         lines += [f"{name} cannot be told from {', '.join(others)} and stays as stated" if others else
@@ -27,7 +27,7 @@ class Rank:
         return lines
 
 
-def independent(B, free, names, units):
+def independent(B: np.ndarray, free: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> Rank:
     """Rank of the columns of B (rows, p), rows whitened, of the parameters asked for: free (p,) bool.
 
     A column is dependent where, those before it given, the data leave its parameter less certain than PLAUSIBLE: a plain zero

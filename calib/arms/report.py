@@ -1,16 +1,22 @@
 """The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
 
 import html
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from calib.arms import model
-from calib.certify.certificate import errors_of
+from calib.arms.certify import Certified
+from calib.certify.calibration import Calibration
+from calib.certify.held_out import Figures
+from calib.certify.held_out import errors_of
 from calib.report import before_after, coverage, origin, page, table, worth
+from calib.samples import Samples
+from rig.recording import Recording
 
 
-def calibration_page(path, recording, calibration, samples, done):
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     parts = [*worth(calibration.claim), *_held(done),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
@@ -23,7 +29,7 @@ def calibration_page(path, recording, calibration, samples, done):
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
-def _held(done):
+def _held(done: Certified) -> list[str]:
     held = done.held_out
     if held is None:
         return []
@@ -36,11 +42,11 @@ def _held(done):
             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
 
 
-def _figures(f):
+def _figures(f: Figures) -> list[str]:
     return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
 
 
-def _profiles(calibration, samples):
+def _profiles(calibration: Calibration, samples: Samples) -> Figure:
     q = samples.commanded
     rho = calibration.correction.rho(q)
     count = q.shape[1]
@@ -52,7 +58,7 @@ def _profiles(calibration, samples):
     return figure
 
 
-def _parameters(calibration):
+def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))[6:-6].reshape(-1, 5)
     change = fitted.rows - nominal.rows

@@ -4,48 +4,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from calib.certify.calibration import Calibration
 from calib.certify.claim import LEAST, Claim, promise
 from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.held_out import HeldOut, compare, correlation, errors_of
 from calib.correct.correction import Correction, calibrate
+from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples
 from calib.identify.tolerance import tolerance
 from rig import mechanisms
 from rig.design import Hexapod
-from rig.pose import difference
+
+Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
 FOLDS = 5
-DRAWS = 1000
 GAIN = 2.0  # standard errors by which the remainder must pay on held-out poses to be kept
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,);
-    mean : of the length in position (m) and rotation (rad)."""
-
-    n: int
-    position: tuple[float, float, float]
-    rotation: tuple[float, float, float]
-    bias: tuple[float, ...]
-    mean: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class HeldOut:
-    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
-
-    floor : (m, rad) RMS standard uncertainty of the measured poses themselves
-    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses
-    configurations : how many distinct ones these poses are
-    """
-
-    before: Figures
-    after: Figures
-    floor: tuple[float, float]
-    ratio: tuple[float, float, float]
-    configurations: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,48 +29,16 @@ class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than claim.LEAST of them"""
 
-    correction: Correction
+    correction: Correction[Hexapod, Radial]
     found: Identified
     label: np.ndarray
     held_out: HeldOut | None
 
 
-def figures(errors):
-    """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
-    def three(parts):
-        length = np.linalg.norm(parts, axis=1)
-        return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
-
-    mean = tuple(float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
-    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
-
-
-def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
-            label: np.ndarray | None = None) -> HeldOut:
-    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
-
-    label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
-    """
-    label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
-    before, after = figures(errors_before), figures(errors_after)
-    count, size = label.max() + 1, np.bincount(label)
-    squares = [np.bincount(label, weights=(e[:, :3] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
-    picks = rng.integers(count, size=(DRAWS, count))
-    draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
-    low, high = np.quantile(draws, [0.025, 0.975])
-    ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
-    return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
-
-
-def uncertainty(covariance):
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
-    return tuple(float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
-
-
-def model_covariance(calibration, T_base_platform):
+def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
     """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters' and the struts' own scatter.
 
-    calibration : anything with correction, covariance (42, 42) and scatter (6,), as store.Calibration
+    calibration : Calibration of a hexapod
     """
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
@@ -102,18 +46,8 @@ def model_covariance(calibration, T_base_platform):
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + to_pose @ np.diag(calibration.scatter**2) @ np.swapaxes(to_pose, 1, 2)
 
 
-def errors_of(correction, samples):
-    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
-    rotation was not measured."""
-    nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
-    for one in errors:
-        one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
-    return errors
-
-
 def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
-            progress: Callable[[str, int, int], None] | None = None) -> Certified:
+            progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
     The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness, and how good
@@ -145,7 +79,8 @@ def _silent(label: str, done: int, of: int) -> None:
     pass
 
 
-def _held_out(samples, nominal, label, remainder, prior, said):
+def _held_out(samples: Samples, nominal: Hexapod, label: np.ndarray, remainder: str | tuple[Radial | None, ...], prior: np.ndarray,
+              said: Progress) -> tuple[np.ndarray, np.ndarray]:
     fold = folds(label, min(FOLDS, label.max() + 1))
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
     name = "holding configurations out" + ("" if remainder == "none" else ", struts corrected")
@@ -167,16 +102,3 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     offset = done.correction.rho(each.commanded)
     found = identify(each, nominal, offset, done.found.prior)
     return promise(found, tolerance(found, nominal), done.correction, each, rng)
-
-
-def correlation(series):
-    """How many neighbours in time say the same: 1 + 2 x the sum of the autocorrelations before they first turn negative."""
-    centred = series - series.mean()
-    total = (centred**2).sum()
-    factor = 1.0
-    for lag in range(1, len(series) // 4):
-        c = (centred[lag:] * centred[:-lag]).sum() / max(total, 1e-300)
-        if c <= 0:
-            break
-        factor += 2 * c
-    return factor

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import Correction
+from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
 from calib.samples import Samples
 from calib.identify.tolerance import Tolerance, spread
@@ -114,7 +115,8 @@ def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) 
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def promise(found: Identified, tolerance: Tolerance, correction: Correction, samples: Samples, rng: np.random.Generator) -> Claim:
+def promise(found: Identified, tolerance: Tolerance, correction: Correction[Hexapod, Radial], samples: Samples,
+            rng: np.random.Generator) -> Claim:
     """Claim of a hexapod's calibration.
 
     found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
@@ -139,7 +141,7 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction, sam
                    unknowns=42, tolerance=said)
 
 
-def _closing(commands: np.ndarray, correction: Correction) -> tuple[np.ndarray, RigidTransform]:
+def _closing(commands: np.ndarray, correction: Correction[Hexapod, Radial]) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, 6) that close on a pose, and these poses."""
     try:
         return commands, correction.predict(commands)

@@ -8,15 +8,16 @@ on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from calib.identify.geometry import Identified, identify, pose_jacobian
-from calib.samples import blocks
-from rig.design import Hexapod
+from calib.samples import Samples, blocks
+from rig.design import Design, Hexapod
 from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import difference, vector
-from rig.recording import LIMBS as CHANNELS
+from rig.recording import LIMBS as CHANNELS, Recording
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NEAR = 0.5  # s; readings further apart about an exposure say nothing of it
@@ -46,7 +47,7 @@ class Agreement:
     tolerance: np.ndarray
 
     @property
-    def passed(self):
+    def passed(self) -> np.ndarray:
         """(6,) bool, whether each axis agrees within its tolerance, shown over a range that says so."""
         return (self.surely <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
 
@@ -59,11 +60,11 @@ class Limbs:
     covariance: np.ndarray
     sigma: np.ndarray
 
-    def pose(self, lengths, guess=None):
+    def pose(self, lengths: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) of readings (..., 6) m. Raises NotConverged like the mechanism."""
         return mechanism.forward(lengths, self.hexapod, guess)
 
-    def uncertainty(self, T_base_platform):
+    def uncertainty(self, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
         """(own (..., 6, 6) covariance of a pose's readings, common (..., 6, 42) factor of what the limbs' geometry adds to all poses)."""
         back = np.linalg.inv(mechanism.jacobian(T_base_platform, self.hexapod))
         own = back @ np.diag(self.sigma**2) @ np.swapaxes(back, -1, -2)
@@ -71,7 +72,7 @@ class Limbs:
         return own, pose_jacobian(T_base_platform, self.hexapod) @ half
 
 
-def stated(design):
+def stated(design: Design) -> Hexapod:
     """Hexapod of the limbs as rig.toml has them. Raises RigError for a rig without [insitu] or that is no hexapod."""
     limbs = design.insitu
     if limbs is None or design.mechanism.kind != "hexapod":
@@ -82,7 +83,7 @@ def stated(design):
     return Hexapod(limbs.base_joints, limbs.platform_joints, np.stack([0.2 * length, 3 * length], axis=1), home, limbs.zeros)
 
 
-def readings(recording):
+def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """(frames (f,), lengths (f, 6) m): what the limbs read at the exposures that have readings about them.
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
@@ -101,7 +102,7 @@ def readings(recording):
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in CHANNELS], axis=1)
 
 
-def read(samples, frames, lengths):
+def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
     """Samples whose commands are the limbs' readings. samples : Samples by vision; frames, lengths : as `readings` gives them.
 
     Raises NotEnoughData where no frame has both
@@ -113,19 +114,19 @@ def read(samples, frames, lengths):
     return replace(kept, commanded=lengths[np.searchsorted(frames, kept.frame)])
 
 
-def calibrated(samples, nominal, sigma):
+def calibrated(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
     """(Limbs, Identified) from Samples as `read` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
     found: Identified = identify(with_readings(samples, nominal, sigma), nominal)
     return Limbs(found.hexapod, found.covariance, np.hypot(found.scatter, sigma)), found
 
 
-def with_readings(samples, nominal, sigma):
+def with_readings(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:
     """The Samples with what the readings' own noise (m) does to a pose added to vision's covariance."""
     back = np.linalg.inv(mechanism.jacobian(samples.T_base_platform, nominal))
     return replace(samples, covariance=samples.covariance + sigma**2 * back @ np.swapaxes(back, 1, 2))
 
 
-def held_out(samples, nominal, sigma):
+def held_out(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[RigidTransform, np.ndarray]:
     """(T_limbs RigidTransform (n,), expected (n, 6, 6) covariance of the difference): every pose by limbs fitted to other stretches.
 
     The expectation holds what the limbs' fit to the same cameras shares with vision once only: vision's shared errors go into the
@@ -147,7 +148,7 @@ def held_out(samples, nominal, sigma):
     return type(samples.T_base_platform).from_matrix(matrices), expected
 
 
-def agreement(T_vision, T_limbs, expected, tolerance):
+def agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.ndarray, tolerance: tuple[float, float]) -> Agreement:
     """Agreement of two measurements of the same poses (n,). expected : (n, 6, 6) covariance of their difference
     tolerance : (m, rad) for position and rotation, each axis"""
     d, n = difference(T_vision, T_limbs), len(T_vision)
@@ -159,7 +160,7 @@ def agreement(T_vision, T_limbs, expected, tolerance):
                      np.ptp(motion, axis=0), np.repeat(tolerance, 3))
 
 
-def still_agrees(T_vision, covariance, T_limbs, own, common):
+def still_agrees(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
     d = difference(T_vision, T_limbs)
     return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < chi2.isf(TRUST, 6))

@@ -2,7 +2,7 @@
 
 import math
 
-from calib.certify.certificate import HeldOut
+from calib.certify.held_out import HeldOut
 from calib.certify.claim import Claim
 
 CHANCE = 2.4  # by how much the mean square of six shared errors, drawn once, may exceed what is expected (97.5 % of chi-square / 6)
@@ -25,7 +25,7 @@ def verdict(claim: Claim) -> list[str]:
             f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors included: {factor(claim.measured)}"]
 
 
-def factor(three) -> str:
+def factor(three: tuple[float, ...]) -> str:
     """A ratio (median, low, high) in words."""
     return f"{three[0]:.3g} times better (95 % interval {three[1]:.3g} to {three[2]:.3g})"
 

@@ -6,15 +6,20 @@ x' is found that solves x' = x + KSF(x') with x = IK(wanted): the fixed point, n
 Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from calib.identify.geometry import identify
+from calib.identify.geometry import Identified, identify
 from calib.identify.tolerance import tolerance
 from calib.correct.interpolate import radial
+from calib.correct.interpolate.radial import Radial
+from calib.samples import Samples
 from rig import mechanisms
-from rig.design import Hexapod
+from rig.design import Arm, Hexapod
 from rig.errors import NotConverged, RigError, Unreachable
 
 ITERATIONS = 100
@@ -22,32 +27,39 @@ TOLERANCE = 1e-12  # m
 ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 
+M = TypeVar("M", bound=Hexapod | Arm)
+R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Correction:
-    """nominal : the mechanism as its owner believes it; fitted : its smooth part; remainder : per axis a Radial or None."""
+class Correction(Generic[M, R]):
+    """nominal : the mechanism as its owner believes it; fitted : its smooth part; remainder : per axis a Radial or Profile, or None.
 
-    nominal: Hexapod
-    fitted: Hexapod
-    remainder: tuple
+    docs/mathematics.md (19), (20)
+    """
 
-    def rho(self, commands):
+    nominal: M
+    fitted: M
+    remainder: tuple[R | None, ...]
+
+    def rho(self, commands: np.ndarray) -> np.ndarray:
         """(..., axes) m, the remainder at commands (..., axes)."""
         commands = np.asarray(commands, float)
         return np.stack([part(commands) if part is not None else np.zeros(commands.shape[:-1]) for part in self.remainder], axis=-1)
 
-    def predict(self, commands, guess=None):
+    def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the mechanism."""
         return mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
 
-    def summand(self, commands):
+    def summand(self, commands: np.ndarray) -> np.ndarray:
         """KSF (..., axes) m at commands (..., axes): commanded less what the owner's model says for the pose it gives."""
         return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
 
-    def uncorrected(self, T_base_platform):
+    def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
         return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
 
-    def inverse(self, T_base_platform):
+    def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m; limits are for `reachable` to check.
 
         Raises NotConverged with index, commands and residual (m) where the fixed point is not found
@@ -64,7 +76,7 @@ class Correction:
                            commands.reshape(-1, commands.shape[-1])[failed], np.ravel(change)[failed])
 
 
-def reachable(commands, mechanism, labels):
+def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
     name, scale, unit = ("joint", np.degrees(1.0), "degrees") if mechanism.kind == "arm" else ("strut", 1e3, "mm")
     beyond = mechanisms.of(mechanism).limits(commands, mechanism)
@@ -79,7 +91,8 @@ def reachable(commands, mechanism, labels):
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def calibrate(samples, nominal, remainder="find", prior=None):
+def calibrate(samples: Samples, nominal: Hexapod, remainder: str | tuple[Radial | None, ...] = "find",
+              prior: np.ndarray | None = None) -> tuple[Correction[Hexapod, Radial], Identified]:
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
     samples : Samples; nominal : Hexapod; prior : (42,) m, how good its figures are, or None: as these samples have it
@@ -105,7 +118,8 @@ def calibrate(samples, nominal, remainder="find", prior=None):
     return Correction(nominal, found.hexapod, parts), found
 
 
-def _remainder(samples, found, nominal, before, like):
+def _remainder(samples: Samples, found: Identified, nominal: Hexapod, before: tuple[Radial | None, ...],
+               like: tuple[Radial | None, ...]) -> tuple[Radial | None, ...]:
     """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or None."""
     good = found.inliers
     left = found.residuals + Correction(nominal, nominal, before).rho(samples.commanded)

@@ -5,6 +5,7 @@ and Hollerbach, ICRA 1996: smallest singular value squared over the greatest). S
 Experiments, 1972.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from calib.identify.geometry import pose_jacobian
 from calib.identify.observability import PLAUSIBLE
 from rig import plan
+from rig.design import Hexapod
 from rig.errors import NotConverged, RigError
 from rig.mechanisms import hexapod as mechanism
 
@@ -34,7 +36,8 @@ class Chosen:
     even: np.ndarray
 
 
-def choose(hexapod, count, sigmas, criterion="determinant", given=None, seed=0, progress=None):
+def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
+           seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Chosen:
     """Chosen configurations, `count` of them, beside those given (k, 6) m.
 
     sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with (done, of)
@@ -75,7 +78,7 @@ def choose(hexapod, count, sigmas, criterion="determinant", given=None, seed=0, 
     return Chosen(_short_way(candidates[picked], hexapod.strut_range.mean(axis=1)), *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 
-def information(commands, hexapod, sigmas):
+def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """(commands (n, 6) m that close on a pose, rows (n, 6, 42): J_p whitened by the pose's sigmas (m, rad), in plausible sizes)."""
     commands = np.asarray(commands, float)
     while True:
@@ -88,7 +91,7 @@ def information(commands, hexapod, sigmas):
         return commands, pose_jacobian(T, hexapod) * weights * PLAUSIBLE
 
 
-def _candidates(hexapod, sigmas, seed):
+def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
     commands = np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)])
@@ -96,12 +99,12 @@ def _candidates(hexapod, sigmas, seed):
     return commands, G
 
 
-def _sum(G, picked):
+def _sum(G: np.ndarray, picked: list[int]) -> np.ndarray:
     rows = G[picked].reshape(-1, 42)
     return rows.T @ rows
 
 
-def _determinant(M, G, present=0):
+def _determinant(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
     """(log volume that candidate `present` adds to information M, that which each candidate adds (c,))."""
     half = np.linalg.inv(np.linalg.cholesky(M))
     rows = G @ half.T
@@ -109,7 +112,7 @@ def _determinant(M, G, present=0):
     return values[present], values
 
 
-def _noise(M, G, present=0):
+def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.ndarray]:
     """(noise amplification index with candidate `present`, with each candidate (c,), -inf for those not worth looking at)."""
     size, V = np.linalg.eigh(M)
     promise = np.einsum("cik,k->c", (G @ V) ** 2, 1 / np.maximum(size, 1e-12) ** 2)
@@ -121,12 +124,12 @@ def _noise(M, G, present=0):
     return index[0], values
 
 
-def _root(rows):
+def _root(rows: np.ndarray) -> np.ndarray:
     R = np.linalg.qr(rows, mode="r") / PLAUSIBLE
     return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
 
 
-def _short_way(commands, start):
+def _short_way(commands: np.ndarray, start: np.ndarray) -> np.ndarray:
     """The same commands, each next the one soonest reached."""
     left, ordered, here = list(range(len(commands))), [], start
     while left:

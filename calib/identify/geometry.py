@@ -10,6 +10,7 @@ geometry (calib/identify/with_cameras.py).
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2, norm
 
 from calib.identify import closed_loop
@@ -51,12 +52,12 @@ class Identified:
     cost: float
 
 
-def parameters(hexapod):
+def parameters(hexapod: Hexapod) -> np.ndarray:
     """(42,) m, joints and zeros of a Hexapod in the order of NAMES."""
     return np.concatenate([hexapod.base_joints.ravel(), hexapod.platform_joints.ravel(), hexapod.strut_zeros])
 
 
-def with_parameters(hexapod, p):
+def with_parameters(hexapod: Hexapod, p: np.ndarray) -> Hexapod:
     """The Hexapod with parameters p (42,) m."""
     return replace(hexapod, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
 
@@ -89,7 +90,7 @@ def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = Non
 class Loops:
     """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start from again."""
 
-    def __init__(self, samples, lengths, nominal, prior):
+    def __init__(self, samples: Samples, lengths: np.ndarray, nominal: Hexapod, prior: np.ndarray) -> None:
         """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle; prior : (42,) m, its width"""
         self.prior, self.samples, self.lengths, self.nominal = prior, samples, np.ascontiguousarray(lengths, float), nominal
         measured, home = samples.T_base_platform.as_matrix(), nominal.home.as_matrix()
@@ -97,11 +98,11 @@ class Loops:
                                                                                               samples.covariance)))
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
-    def fit(self, start, inliers, scatter):
+    def fit(self, start: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> Fit:
         """least_squares.Fit from parameters start (42,). inliers : (n,) bool; scatter : (6,) m"""
         return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), self.prior, inliers=inliers)
 
-    def linearise(self, p, scatter):
+    def linearise(self, p: np.ndarray, scatter: np.ndarray) -> Linear:
         """least_squares.Linear at parameters p (42,). Raises RigError naming the first pose that has no solution there."""
         common = self.samples.common
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
@@ -112,7 +113,7 @@ class Loops:
                            "or its covariance is none")
         return Linear(right[..., 0], J, right[..., 1:])
 
-    def closure(self, found: Fit):
+    def closure(self, found: Fit) -> tuple[np.ndarray, np.ndarray]:
         """(n, 6) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, 6, 6) m^2 from the poses'."""
         T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
         A = mechanism.jacobian(T, geometry)
@@ -120,7 +121,7 @@ class Loops:
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def loop_jacobian(T_base_platform, hexapod):
+def loop_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """(..., 6, 42) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform (...)."""
     matrix = T_base_platform.as_matrix()
     R = matrix[..., :3, :3]
@@ -135,7 +136,7 @@ def loop_jacobian(T_base_platform, hexapod):
     return D
 
 
-def pose_jacobian(T_base_platform, hexapod):
+def pose_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """J_p (..., 6, 42): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
 
     delta_e = J_p delta_x; source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
@@ -143,7 +144,7 @@ def pose_jacobian(T_base_platform, hexapod):
     return np.linalg.solve(mechanism.jacobian(T_base_platform, hexapod), loop_jacobian(T_base_platform, hexapod))
 
 
-def _scatter(left, S, inliers):
+def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray) -> np.ndarray:
     """(6,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices."""
     count = inliers.sum()
     if count <= LEAST:
@@ -154,7 +155,7 @@ def _scatter(left, S, inliers):
     return np.where(seen > own * chi2.isf(norm.sf(EXCESS), freedom) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
 
 
-def _inliers(left, S, scatter):
+def _inliers(left: np.ndarray, S: np.ndarray, scatter: np.ndarray) -> np.ndarray:
     sigma = np.sqrt(np.einsum("nii->ni", S) + scatter**2)
     scale = np.maximum(1.0, 1.4826 * np.median(np.abs(left / sigma), axis=0))
     return (np.abs(left) < GATE * scale * sigma).all(axis=1)

@@ -5,7 +5,9 @@ all blocks share (the cameras' errors, say) is solved for beside the parameters 
 Factorization Methods for Discrete Sequential Estimation, 1977, ch. IV and V.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
@@ -53,8 +55,9 @@ class Fit:
     iterations: int
 
 
-def fit(linearise, start, mean, sigma, basis=None, inliers=None, robust=False):
-    """Gauss-Newton to the optimum.
+def fit(linearise: Callable[[np.ndarray], Linear], start: np.ndarray, mean: np.ndarray, sigma: np.ndarray, basis: np.ndarray | None = None,
+        inliers: np.ndarray | None = None, robust: bool = False) -> Fit:
+    """Gauss-Newton to the optimum, docs/mathematics.md (7).
 
     linearise : function of parameters (k,) -> Linear; start : (k,); mean, sigma : (k,) the prior, sigma infinite where there is none
     basis : (k, j) directions in which the parameters may move from the start (constraints hold the others), or None for all
@@ -64,27 +67,27 @@ def fit(linearise, start, mean, sigma, basis=None, inliers=None, robust=False):
     p, spans = np.array(start, float), np.eye(len(start)) if basis is None else np.asarray(basis, float)
     mean, weight = np.asarray(mean, float), 1 / np.asarray(sigma, float)
     linear = linearise(p)
-    inliers, last = np.ones(len(linear.residual), bool) if inliers is None else inliers, np.inf
+    used, last = np.ones(len(linear.residual), bool) if inliers is None else inliers, np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
-        data = _triangle(linear, inliers, basis)
-        step, z, R, cost = _step(data, linear.common.shape[2], weight, mean - p, spans)
-        p = p + spans @ step
+        data = _triangle(linear, used, basis)
+        step = _step(data, linear.common.shape[2], weight, mean - p, spans)
+        p = p + spans @ step.parameters
         linear = linearise(p)
-        length, before = np.linalg.norm(R @ step), last
+        length, before = float(np.linalg.norm(step.root @ step.parameters)), last
         last = length
         if length > SETTLED and not before / 2 < length < ROUNDED:
             continue
-        left = linear.residual - linear.common @ z
-        kept = _agreeing(left, inliers) if robust else inliers
-        if (kept == inliers).all():
-            half = solve_triangular(R, np.eye(len(R)))
+        left = linear.residual - linear.common @ step.shared
+        kept = _agreeing(left, used) if robust else used
+        if (kept == used).all():
+            half = solve_triangular(step.root, np.eye(len(step.root)))
             c = linear.common.shape[2]
-            return Fit(p, spans @ half @ half.T @ spans.T, z, data[c:-1, c:-1] @ spans.T, left, inliers, cost, iteration)
-        inliers = kept
+            return Fit(p, spans @ half @ half.T @ spans.T, step.shared, data[c:-1, c:-1] @ spans.T, left, used, step.cost, iteration)
+        used = kept
     raise RigError(f"the least squares did not settle in {MAX_ITERATIONS} iterations: the last step was {last:.3g} sigma")
 
 
-def _triangle(linear, inliers, basis):
+def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> np.ndarray:
     """(c + j + 1,) square upper triangle of [common, jacobian, residual], the shared draw's prior included."""
     J = linear.jacobian if basis is None else linear.jacobian @ basis
     rows = np.concatenate([linear.common, J, linear.residual[..., None]], axis=2)
@@ -92,7 +95,7 @@ def _triangle(linear, inliers, basis):
     return _r(np.concatenate([rows[inliers].reshape(-1, width), np.eye(c, width)]), width)
 
 
-def _r(rows, width):
+def _r(rows: np.ndarray, width: int) -> np.ndarray:
     """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
     if len(rows) > 2 * CHUNK:
         rows = np.concatenate([np.linalg.qr(rows[at : at + CHUNK], mode="r") for at in range(0, len(rows), CHUNK)])
@@ -100,8 +103,17 @@ def _r(rows, width):
     return R if len(R) == width else np.concatenate([R, np.zeros((width - len(R), width))])
 
 
-def _step(data, c, weight, to_mean, basis):
-    """Step (j,), shared draw (c,), square root (j, j) of the information with the prior, and the cost at the end of the step."""
+class _Step(NamedTuple):
+    """parameters : (j,); shared : (c,) draw; root : (j, j) square root of the information with the prior; cost : at the step's end."""
+
+    parameters: np.ndarray
+    shared: np.ndarray
+    root: np.ndarray
+    cost: float
+
+
+def _step(data: np.ndarray, c: int, weight: np.ndarray, to_mean: np.ndarray, basis: np.ndarray) -> _Step:
+    """The step that the triangle of the data and the prior, of weight (k,) and to_mean (k,) away, ask for together."""
     held = np.isfinite(weight) & (weight > 0)
     prior = np.concatenate([np.zeros((held.sum(), c)), weight[held, None] * basis[held], (weight * to_mean)[held, None]], axis=1)
     R = _r(np.concatenate([data, prior]), data.shape[1])
@@ -112,10 +124,10 @@ def _step(data, c, weight, to_mean, basis):
         raise NotEnoughData(f"the observations leave {missing} of {len(size)} directions open, and no prior holds them")
     step = solve_triangular(root, right)
     z = solve_triangular(R[:c, :c], R[:c, -1] - R[:c, c:-1] @ step) if c else np.zeros(0)
-    return step, z, root, float(R[-1, -1] ** 2)
+    return _Step(step, z, root, float(R[-1, -1] ** 2))
 
 
-def _agreeing(left, inliers):
+def _agreeing(left: np.ndarray, inliers: np.ndarray) -> np.ndarray:
     """(n,) bool, the blocks whose residual (n, m) is no larger than the others' scale makes likely."""
     square, m = (left**2).sum(axis=1), left.shape[1]
     scale = max(1.0, float(np.median(square[inliers])) / chi2.ppf(0.5, m))
@@ -136,7 +148,7 @@ class Visibility:
     order: np.ndarray
 
 
-def visibility(root, size):
+def visibility(root: np.ndarray, size: np.ndarray) -> Visibility:
     """Visibility of parameters from a square root of their information. root : (j, k); size : (k,) what each plausibly is."""
     _, s, directions = np.linalg.svd(root * size, full_matrices=False)
     order = qr(root * size, mode="r", pivoting=True)[1]

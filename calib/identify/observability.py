@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.identify.geometry import NAMES
 from calib.identify.least_squares import Visibility, visibility
+from rig.design import Hexapod
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import skew
 
@@ -23,12 +24,12 @@ class Combination:
     name: str
 
     @property
-    def determined(self):
+    def determined(self) -> bool:
         """Whether the poses say more of it than its plausible size does."""
         return self.sigma < PLAUSIBLE
 
 
-def combinations(root, hexapod):
+def combinations(root: np.ndarray, hexapod: Hexapod) -> tuple[tuple[Combination, ...], Visibility]:
     """(tuple of 42 Combinations, the worst determined first; Visibility) of the information's square root (42, 42) 1/m."""
     seen: Visibility = visibility(root, np.full(42, PLAUSIBLE))
     patterns = _patterns(hexapod)
@@ -37,7 +38,7 @@ def combinations(root, hexapod):
     return tuple(Combination(d, float(s), describe(d, patterns)) for d, s in zip(seen.directions[::-1], sigma[::-1])), seen
 
 
-def gauge(hexapod):
+def gauge(hexapod: Hexapod) -> np.ndarray:
     """(42, 12) the parameters' motions with the frames: base joints with the base frame (x y z rx ry rz), platform joints with theirs.
 
     Where targets with stated poses hold both frames the poses determine them like any other combination; where an instrument
@@ -49,7 +50,7 @@ def gauge(hexapod):
     return out
 
 
-def describe(direction, patterns):
+def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
     """A unit direction (42,) in words: up to TERMS of the patterns {name: (42,) unit} or single parameters, the largest first."""
     left, terms = direction.copy(), []
     while len(terms) < TERMS and left @ left > 1 - MOSTLY:
@@ -60,7 +61,7 @@ def describe(direction, patterns):
     return ", ".join(terms)
 
 
-def _patterns(hexapod):
+def _patterns(hexapod: Hexapod) -> dict[str, np.ndarray]:
     """{name: unit direction (42,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each parameter alone."""
     found = {}
     motions = gauge(hexapod)
@@ -81,6 +82,6 @@ def _patterns(hexapod):
     return {name: pattern / np.linalg.norm(pattern) for name, pattern in found.items() if np.linalg.norm(pattern) > 0}
 
 
-def _directions(hexapod):
+def _directions(hexapod: Hexapod) -> np.ndarray:
     """(6, 3) the struts' unit directions at home, in the base frame."""
     return mechanism.jacobian(hexapod.home, hexapod)[:, :3] @ hexapod.home.rotation.as_matrix().T

@@ -11,12 +11,15 @@ import numpy as np
 
 from calib.identify.geometry import PRIOR, parameters, pose_jacobian, with_parameters
 from calib.identify.least_squares import Linear, fit
+from calib.samples import Samples
 from rig.design import Camera, Hexapod
 from rig.errors import RigError
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import exp, skew
 from vision import lens
 from vision.bundle.adjust import lens_prior
+from vision.measure import Measurement
+from vision.observations import Observations
 from vision.predict import State, base_points, by_camera, in_camera
 
 
@@ -32,7 +35,8 @@ class Joint:
     residuals: np.ndarray
 
 
-def solve(observations, commanded, state, stated, nominal, start=None):
+def solve(observations: Observations, commanded: np.ndarray, state: State, stated: tuple[Camera, ...], nominal: Hexapod,
+          start: Hexapod | None = None) -> Joint:
     """Joint of corners whose frames all were commanded, with every camera fixed.
 
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
@@ -52,12 +56,12 @@ def solve(observations, commanded, state, stated, nominal, start=None):
     begin = np.concatenate([parameters(nominal if start is None else start), *[np.r_[np.zeros(6), _lens(c)] for c in state.cameras]])
     guess = [state.platform]
 
-    def at(p):
+    def at(p: np.ndarray) -> State:
         cameras = tuple(_camera(c, p[a : a + size]) for c, a, size in zip(state.cameras, starts, sizes))
         guess[0] = mechanism.forward(commanded, with_parameters(nominal, p[:42]), guess[0])
         return State(cameras, guess[0], {})
 
-    def linearise(p):
+    def linearise(p: np.ndarray) -> Linear:
         now = at(p)
         residual, J = np.empty((len(observations), 2)), np.zeros((len(observations), 2, len(p)))
         base, J_pose = base_points(observations, now), pose_jacobian(now.platform, with_parameters(nominal, p[:42]))
@@ -79,7 +83,7 @@ def solve(observations, commanded, state, stated, nominal, start=None):
 
     order = np.r_[42 : len(begin), :42]  # the geometry last, so that its block of the triangle is what is left to it
 
-    def ordered(p):
+    def ordered(p: np.ndarray) -> Linear:
         now = linearise(p[np.argsort(order)])
         return Linear(now.residual, now.jacobian[..., order], now.common)
 
@@ -89,23 +93,7 @@ def solve(observations, commanded, state, stated, nominal, start=None):
     return Joint(with_parameters(nominal, p[:42]), done.cameras, found.covariance[-42:, -42:], found.root[-42:, -42:], found.residual)
 
 
-def refine(sampled, design, correction, found):
-    """(Correction, Identified) with geometry and covariance from the joint solve of a recording's corners.
-
-    sampled : pipeline.Sampled; design : Design as stated; correction, found : as `calibrate` gives them
-    Raises RigError for poses that no camera saw, or where struts scatter, so that a command does not give a frame's pose
-    """
-    if sampled.measurement is None:
-        raise RigError(f"a joint solve takes corners or images; these poses came from {sampled.source}")
-    if found.scatter.any():
-        i = int(np.argmax(found.scatter))
-        raise RigError(f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by {found.scatter[i] * 1e6:.1f} um beyond the poses")
-    corners, commanded, state = commanded_state(sampled.measurement, sampled.samples.take(found.inliers))
-    done = solve(corners, commanded - correction.rho(commanded), state, design.cameras, correction.nominal, found.hexapod)
-    return replace(correction, fitted=done.hexapod), replace(found, hexapod=done.hexapod, covariance=done.covariance, root=done.root)
-
-
-def commanded_state(measured, samples):
+def commanded_state(measured: Measurement, samples: Samples) -> tuple[Observations, np.ndarray, State]:
     """(Observations, commanded (F, 6) m, State) for `solve`: the corners a measurement used, in the frames that were commanded.
 
     measured : vision Measurement; samples : Samples of it
@@ -118,11 +106,11 @@ def commanded_state(measured, samples):
     return kept, commanded, State(measured.adjustment.state.cameras, measured.T_base_platform[np.flatnonzero(keep)], {})
 
 
-def _lens(camera):
+def _lens(camera: Camera) -> np.ndarray:
     return np.r_[camera.matrix[0, 0], camera.matrix[1, 1], camera.matrix[0, 2], camera.matrix[1, 2], camera.distortion]
 
 
-def _camera(camera, q):
+def _camera(camera: Camera, q: np.ndarray) -> Camera:
     """The camera moved by the tangent q[:6] with the lens q[6:]."""
     fx, fy, cx, cy = q[6:10]
     return replace(camera, pose=camera.pose * exp(q[:6]), matrix=[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], distortion=q[10:])

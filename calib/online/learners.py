@@ -4,10 +4,12 @@ They watch for nothing: each says how far a pose was from what it expected, and 
 """
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.identify import closed_loop
 from calib.identify.geometry import PRIOR, parameters, with_parameters
 from calib.identify.observability import PLAUSIBLE
+from rig.design import Hexapod
 from rig.errors import RigError
 
 NO_SCATTER = np.zeros(6)
@@ -16,16 +18,16 @@ NO_SCATTER = np.zeros(6)
 class _Learner:
     """nominal : Hexapod; the estimate is `hexapod`."""
 
-    def __init__(self, nominal):
+    def __init__(self, nominal: Hexapod) -> None:
         self.nominal, self.p = nominal, parameters(nominal)
         self.home = np.ascontiguousarray(nominal.home.as_matrix())
 
     @property
-    def hexapod(self):
+    def hexapod(self) -> Hexapod:
         """The Hexapod as estimated now."""
         return with_parameters(self.nominal, self.p)
 
-    def rows(self, x, matrix, covariance, p):
+    def rows(self, x: np.ndarray, matrix: np.ndarray, covariance: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Whitened error (6,) and J_p (6, 42) at parameters p. Raises RigError for a command that closes on no pose."""
         R, t = self.home[:3, :3].copy(), self.home[:3, 3].copy()
         right, J = np.empty((6, 1)), np.zeros((6, 42))
@@ -42,7 +44,7 @@ class Forgetting(_Learner):
     Source: Cao and Schwartz, A directional forgetting algorithm, Automatica 36, 2000
     """
 
-    def __init__(self, nominal, kept=0.99, prior=PRIOR):
+    def __init__(self, nominal: Hexapod, kept: float = 0.99, prior: float = PRIOR) -> None:
         """kept : share of what was known along a pose's directions that stays; prior : m"""
         super().__init__(nominal)
         if not 0 < kept <= 1:
@@ -50,11 +52,11 @@ class Forgetting(_Learner):
         self.kept, self.information = kept, np.eye(42) / prior**2
 
     @property
-    def covariance(self):
+    def covariance(self) -> np.ndarray:
         """(42, 42) m^2 of the estimate."""
         return np.linalg.inv(self.information)
 
-    def update(self, x, T_base_platform, covariance):
+    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
         told = J @ self.information
@@ -69,12 +71,12 @@ class Drifting(_Learner):
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 10.5
     """
 
-    def __init__(self, nominal, drift=1e-7, prior=PRIOR, iterations=3):
+    def __init__(self, nominal: Hexapod, drift: float = 1e-7, prior: float = PRIOR, iterations: int = 3) -> None:
         """drift : m per pose by which a parameter wanders, standard deviation; prior : m; iterations : linearisations per pose"""
         super().__init__(nominal)
         self.drift, self.iterations, self.covariance = drift, iterations, np.eye(42) * prior**2
 
-    def update(self, x, T_base_platform, covariance):
+    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         """One pose; returns its whitened innovation (6,), N(0, I) where all is as modelled. Raises RigError as `rows` does."""
         matrix, before = T_base_platform.as_matrix(), self.p
         P = self.covariance + self.drift**2 * np.eye(42)
@@ -101,12 +103,12 @@ class FirstOrder(_Learner):
     Adaptive subgradient methods, JMLR 12, 2011
     """
 
-    def __init__(self, nominal, step=PLAUSIBLE):
+    def __init__(self, nominal: Hexapod, step: float = PLAUSIBLE) -> None:
         """step : m, how far a parameter may plausibly have to go"""
         super().__init__(nominal)
         self.step, self.squares = step, np.zeros(42)
 
-    def update(self, x, T_base_platform, covariance):
+    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
         gradient = -J.T @ e

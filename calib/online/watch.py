@@ -10,7 +10,7 @@ from calib.correct.correction import Correction
 from calib.online.change_detection import Change
 from calib.online.filter import Online
 from calib.samples import Samples
-from calib.store import Calibration
+from calib.certify.calibration import Calibration
 from rig import mechanisms
 from rig.design import Design, Hexapod
 from rig.pose import difference

@@ -48,7 +48,7 @@ def _hexapod(recording, sampled, out, argv, rng, progress, joint):
     samples = sampled.samples
     done = certify(samples, recording.design.mechanism, rng, progress)
     if joint:
-        from calib.identify.with_cameras import refine
+        from calib.correct.refined import refine
 
         progress("solving cameras and geometry together", 0, 1)
         done = replace(done, **dict(zip(("correction", "found"), refine(sampled, recording.design, done.correction, done.found))))
@@ -99,9 +99,10 @@ def _print_poses(sampled, done):
 
 def _stored(out, recording, sampled, argv, done, claim):
     from calib import store
+    from calib.certify.calibration import Calibration
 
     frames, found = sampled.samples.frame, done.found
-    calibration = store.Calibration(
+    calibration = Calibration(
         done.correction, found.covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
         done.held_out, store.provenance(recording, argv, SEED, sampled.source == "images"), claim)
     store.save(out, calibration)

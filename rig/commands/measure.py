@@ -34,7 +34,7 @@ def run(arguments):
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
-    from calib.certify.certificate import uncertainty
+    from calib.certify.held_out import uncertainty
     from calib.report import measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined

@@ -29,7 +29,7 @@ def run(arguments):
 
     import numpy as np
 
-    from calib.certify.certificate import compare, errors_of
+    from calib.certify.held_out import compare, errors_of
     from calib.certify.configurations import labels, ranges
     from calib.pipeline import sample_recording
     from calib.certify.verdict import verified
@@ -62,7 +62,8 @@ def run(arguments):
 def _driven(calibration, recording, samples, wanted):
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
     from calib.arms import certify
-    from calib.certify.certificate import figures, model_covariance, uncertainty
+    from calib.certify.certificate import model_covariance
+    from calib.certify.held_out import figures, uncertainty
     from rig.pose import difference
 
     frames = recording.exposures.times()[0].tolist()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.certificate import compare, errors_of
+from calib.certify.held_out import compare, errors_of
 from calib.correct.correction import calibrate
 from calib.identify.geometry import pose_jacobian
 from calib.pipeline import sample_recording

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib import store
+from calib.certify.calibration import Calibration
 from calib.certify.certificate import certify
 from calib.diagnose.engine.chance import davies
 from calib.diagnose.problems.asked import Asked
@@ -139,7 +140,7 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
     before, after = (recording.load(tmp_path / name) for name in ("before", "after"))
     sampled = sample_recording(before)
     done = certify(sampled.samples, before.design.mechanism, rng)
-    known = store.Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
+    known = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     assert not diagnose(after, only=["compliance"]).selection.findings  # a constant load hides in the joints
     tree = report(diagnose(after, only=["compliance"], calibration=known)).tree()
     assert [(f["effect"], f["place"]) for f in tree["findings"]] == [("compliance", "rig")]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib import store
+from calib.certify.calibration import Calibration
 from calib.certify.certificate import certify, promised
 from rig.errors import FileError
 from rig.mechanisms import hexapod
@@ -19,7 +20,7 @@ def calibration(design):
     samples, _ = sampled(design, 5, count=150, deviation=wavy)
     done = certify(samples, design.mechanism, np.random.default_rng(0))
     claim = promised(samples, done, np.random.default_rng(0))
-    return store.Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}, claim)
+    return Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0}, claim)
 
 
 def test_what_is_saved_corrects_as_before(calibration, design, tmp_path):

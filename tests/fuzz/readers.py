@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from calib import store
-from calib.certify.certificate import Figures, HeldOut
+from calib.certify.calibration import Calibration
+from calib.certify.held_out import Figures, HeldOut
 from calib.correct.correction import Correction
 from calib.online.filter import Online
 from rig import design_file, importing, layout, plan, recording, table
@@ -79,7 +80,7 @@ def _files(folder, design, held):
 def _json(folder, design, done):
     m = design.mechanism
     figures = Figures(9, (1e-3,) * 3, (1e-3,) * 3, (0.0,) * 6, (1e-3, 1e-3))
-    store.save(folder / "calibration.json", store.Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
+    store.save(folder / "calibration.json", Calibration(Correction(m, m, (None,) * 6), np.eye(42) * 1e-8, np.zeros(6), (0, 1), (2,),
                                                                HeldOut(figures, figures, (1e-5, 1e-5), (2.0, 1.0, 3.0), 9), {"seed": 0}))
     Online(m).save(folder / "state.json")
     world.write_truth(folder / "truth.json", done.world, done.run.T_base_platform, kind="one", disturbance=None, strengths=[9.0])

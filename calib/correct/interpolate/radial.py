@@ -32,7 +32,7 @@ class Radial:
     lengths: np.ndarray
     noise: float
 
-    def __call__(self, configurations):
+    def __call__(self, configurations: np.ndarray) -> np.ndarray:
         """(...,) m, the summand at configurations (..., axes)."""
         scaled = (np.asarray(configurations, float) - self.centre) / self.half
         flat = scaled.reshape(-1, scaled.shape[-1])
@@ -41,7 +41,8 @@ class Radial:
         return values.reshape(scaled.shape[:-1])
 
 
-def fit(configurations, values, variances, axis, strokes, like=None):
+def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, axis: int, strokes: np.ndarray,
+        like: Radial | None = None) -> Radial | None:
     """Radial through noisy summands, or None where noise alone explains them (by the Bayesian information criterion).
 
     configurations : (n, axes) m; values : (n,) m; variances : (n,) m^2, stated; axis : the strut's index
@@ -64,7 +65,7 @@ def fit(configurations, values, variances, axis, strokes, like=None):
     return Radial(centre, half, axis, scaled, weights / unit, sizes * unit, lengths, float(noise * unit))
 
 
-def _hyper(scaled, y, v, axis):
+def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
     """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
     thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
     best = None
@@ -78,13 +79,13 @@ def _hyper(scaled, y, v, axis):
     return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
 
 
-def _kernels(a, b, axis, lengths):
+def _kernels(a: np.ndarray, b: np.ndarray, axis: int, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     own = np.exp(-0.5 * ((a[:, None, axis] - b[None, :, axis]) / lengths[0]) ** 2)
     square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return own, np.exp(-0.5 * np.maximum(square, 0) / lengths[1] ** 2)
 
 
-def _likelihood(p, x, y, v, axis):
+def _likelihood(p: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> tuple[float, np.ndarray]:
     """Negative log likelihood and its gradient to the logarithms of size, length, size, length, noise."""
     size1, length1, size2, length2, noise = np.exp(p)
     gap = (x[:, None, axis] - x[None, :, axis]) ** 2
@@ -100,7 +101,7 @@ def _likelihood(p, x, y, v, axis):
     return value, np.array(gradient)
 
 
-def _noise_only(p, y, v):
+def _noise_only(p: np.ndarray, y: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray]:
     total = v + np.exp(2 * p[0])
     value = 0.5 * np.sum(y**2 / total + np.log(total))
     return value, np.array([np.sum((1 / total - y**2 / total**2) * np.exp(2 * p[0]))])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib import store
+from calib.certify.calibration import Calibration
 from calib.arms import certify as certifying
 from calib.arms import model
 from calib.arms.certify import calibrate, certify
@@ -105,7 +106,7 @@ def test_poses_in_the_rigs_own_frames_need_no_placing():
 
 def test_stated_uncertainty_of_a_command_covers_its_error(plain):
     true, samples, done = plain
-    calibration = store.Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
+    calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (), (), done.held_out, {})
     q = configurations(UR10, 200, np.random.default_rng(5), 0.5)
     covariance = certifying.model_covariance(calibration, q)
     error = difference(done.correction.predict(q), model.predicted(q, true))
@@ -115,7 +116,7 @@ def test_stated_uncertainty_of_a_command_covers_its_error(plain):
 
 def test_the_file_keeps_everything(plain, tmp_path):
     _, samples, done = plain
-    calibration = store.Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0})
+    calibration = Calibration(done.correction, done.found.covariance, done.found.scatter, (1, 2), (3,), done.held_out, {"seed": 0})
     store.save(tmp_path / "c.json", calibration)
     again = store.load(tmp_path / "c.json")
     np.testing.assert_allclose(difference(again.correction.predict(samples.commanded), done.correction.predict(samples.commanded)), 0, atol=1e-12)

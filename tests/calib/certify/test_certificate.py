@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.certify.certificate import certify, compare, figures
+from calib.certify.certificate import certify
+from calib.certify.held_out import compare, figures
 from calib.samples import blocks
 from tests.calib.worlds import sampled
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.certify.certificate import certify, compare, errors_of, promised
+from calib.certify.certificate import certify, promised
+from calib.certify.held_out import compare, errors_of
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.identify.geometry import identify, parameters
 from calib.pipeline import sample_recording

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.correct.refined import refine
 from calib.identify import with_cameras
 from calib.identify.geometry import identify, parameters
 from calib.pipeline import sample_recording
@@ -53,10 +54,10 @@ def test_a_calibration_is_refined_or_the_reason_said(solved, design):
 
     _, read, sampled, found, _ = solved
     correction, two = calibrate(sampled.samples, read.design.mechanism)
-    better, told = with_cameras.refine(sampled, read.design, correction, two)
+    better, told = refine(sampled, read.design, correction, two)
     np.testing.assert_allclose(parameters(better.fitted), parameters(found.hexapod), atol=1e-9)
     np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
     with pytest.raises(RigError, match="came from poses.csv"):
-        with_cameras.refine(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
+        refine(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)
     with pytest.raises(RigError, match="strut 2 scatters by 30.0 um"):
-        with_cameras.refine(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))
+        refine(sampled, read.design, correction, replace(two, scatter=np.array([0, 3e-5, 0, 0, 0, 0])))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.correct.correction import Correction
-from calib.store import Calibration
+from calib.certify.calibration import Calibration
 from calib.online.watch import Learner, LimbWatch
 from rig import design_file, layout, mechanisms
 from rig.plan import low_discrepancy

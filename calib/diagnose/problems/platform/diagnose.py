@@ -19,7 +19,7 @@ from calib.diagnose.problems.platform.operating_point import of_recording, withi
 from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
-from calib.store import Calibration
+from calib.certify.calibration import Calibration
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
-from calib.store import Calibration
+from calib.certify.calibration import Calibration
 from rig import machine, mechanisms
 from rig.design import Camera, Design, Hexapod, Planar2
 from rig.effects.base import Effect, Motion

@@ -1,0 +1,28 @@
+"""A calibration as it is kept: what corrects, how well its parameters are known, what it is worth, and where it came from."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.certify.claim import Claim
+from calib.certify.held_out import HeldOut
+from calib.correct.correction import Correction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """correction : Correction, of an arm an ArmCorrection; covariance : (42, 42) m^2 of the fitted parameters, of an arm
+    (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
+    (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
+    held_out : HeldOut, or None where too few configurations were recorded to hold any out
+    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one"""
+
+    correction: Correction[Any, Any]
+    covariance: np.ndarray
+    scatter: np.ndarray
+    frames: tuple[int, ...]
+    left_out: tuple[int, ...]
+    held_out: HeldOut | None
+    provenance: dict[str, Any]
+    claim: Claim | None = None

@@ -1,0 +1,96 @@
+"""Pose errors at configurations that nothing was fitted to: their figures, before and after, and how sure their ratio is."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.correct.correction import Correction
+from calib.samples import Samples
+from rig import mechanisms
+from rig.pose import difference
+
+DRAWS = 1000  # of the bootstrap
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Pose errors: n; RMS, 95th percentile and greatest of the error's length in position (m) and rotation (rad); bias (6,);
+    mean : of the length in position (m) and rotation (rad)."""
+
+    n: int
+    position: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+    bias: tuple[float, ...]
+    mean: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
+
+    floor : (m, rad) RMS standard uncertainty of the measured poses themselves
+    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses
+    configurations : how many distinct ones these poses are
+    """
+
+    before: Figures
+    after: Figures
+    floor: tuple[float, float]
+    ratio: tuple[float, float, float]
+    configurations: int
+
+
+def figures(errors: np.ndarray) -> Figures:
+    """Figures of pose errors (n, 6), position (m) and rotation (rad), NaN where these were not measured."""
+    def three(parts: np.ndarray) -> tuple[float, float, float]:
+        length = np.linalg.norm(parts, axis=1)
+        return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
+
+    mean = tuple(float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
+    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
+
+
+def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
+            label: np.ndarray | None = None) -> HeldOut:
+    """HeldOut of the errors (n, 6) on the same poses; covariance : (n, 6, 6) of the measured poses.
+
+    label : (n,) configuration of each pose, each its own by default; rng : numpy Generator, for the bootstrap
+    """
+    label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
+    before, after = figures(errors_before), figures(errors_after)
+    count, size = label.max() + 1, np.bincount(label)
+    squares = [np.bincount(label, weights=(e[:, :3] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
+    picks = rng.integers(count, size=(DRAWS, count))
+    draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
+    low, high = np.quantile(draws, [0.025, 0.975])
+    ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
+    return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
+
+
+def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
+    return tuple(float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+
+
+def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
+    rotation was not measured."""
+    nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
+    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    for one in errors:
+        one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
+    return errors
+
+
+def correlation(series: np.ndarray) -> float:
+    """How many neighbours in time say the same: 1 + 2 x the sum of the autocorrelations before they first turn negative."""
+    centred = series - series.mean()
+    total = (centred**2).sum()
+    factor = 1.0
+    for lag in range(1, len(series) // 4):
+        c = (centred[lag:] * centred[:-lag]).sum() / max(total, 1e-300)
+        if c <= 0:
+            break
+        factor += 2 * c
+    return factor
