@@ -12,16 +12,17 @@ from vision.lenses.photographs import Calibrated
 
 def lens_page(path: Path | str, found: Calibrated) -> None:
     """Write the page of a Calibrated."""
-    fit = found.fit
+    fit, held = found.fit, found.models[found.fit.terms].held
     rows = [(f"{terms} terms" if terms else "no distortion", *((f"{model.rms:.4f}", f"{model.held.rms:.4f}") if model.held else (model.reason, "")),
              "taken" if terms == fit.terms else "") for terms, model in found.models.items()]
     names = [*("fx", "fy", "cx", "cy"), *[name for _, name in fit.adjustment.shared_names[4:]]]
     values = [fit.camera.matrix[0, 0], fit.camera.matrix[1, 1], *fit.camera.matrix[:2, 2], *fit.camera.distortion]
     sigma = np.sqrt(np.diag(fit.adjustment.shared_covariance) * fit.adjustment.cost / fit.adjustment.dof)
     terms = [(name, f"{value:.6g}", f"{2 * s:.2g}") for name, value, s in zip(names, values, sigma)][: 4 + max(fit.terms, 0)]
+    parts: list[str | Figure]
     parts = [f"<p>{len(found.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px RMS per axis, on photographs held "
-             f"out {found.models[fit.terms].held.rms:.4f} px. A direction is projected to {found.middle:.3f} px in the middle of the frame and "
-             f"{found.worst:.3f} px at worst (standard uncertainty).</p>",
+             f"out {f'{held.rms:.4f} px' if held else 'nothing is known'}. A direction is projected to {found.middle:.3f} px in the middle of the "
+             f"frame and {found.worst:.3f} px at worst (standard uncertainty).</p>",
              "<h2>Lens models</h2><p class=note>Every photograph in turn is predicted by a lens fitted to the others; of models within one standard "
              "error of the best the simplest is taken.</p>", table(("model", "fitted, px RMS", "held out, px RMS", ""), rows), _held(found),
              "<h2>What the lens leaves over</h2>", _residuals(found),

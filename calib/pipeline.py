@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.samples import Samples, samples
 from rig.errors import NotEnoughData, RigError
-from rig.observed import Corners
+from rig.observed import Corners, Poses
 from rig.recording import Recording
 from vision.measure import Measurement
 from vision.reading.collect import Collected
@@ -34,10 +34,9 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     Raises RigError without commands, NotEnoughData without poses, and what look raises
     """
     recording.commanded()  # a recording that nobody commanded fails before its images are read
-    outside = recording.poses is not None and (recording.design.instrument is not None
-                                               or (recording.corners is None and not recording.has_images))
-    if outside:
-        return Sampled(_from_poses(recording), "poses.csv", None, None)
+    poses = recording.poses
+    if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
+        return Sampled(_from_poses(recording, poses), "poses.csv", None, None)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
     measured, collected = measure_recording(recording, free, progress=progress, look=look)
@@ -46,8 +45,8 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     return Sampled(samples(recording, measured.frames, measured.T_base_platform, own, measured.common), source, measured, collected)
 
 
-def _from_poses(recording: Recording) -> Samples:
-    instrument, poses = recording.design.instrument, recording.poses
+def _from_poses(recording: Recording, poses: Poses) -> Samples:
+    instrument = recording.design.instrument
     kind = recording.design.mechanism.kind
     if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
         raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") is solved for with arms, not with a "

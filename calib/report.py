@@ -69,6 +69,7 @@ def measurement_page(path: Path | str, recording: Recording, measurement: Measur
     total = len(recording.exposures.times()[0])
     rotation = np.sqrt(np.trace(m.covariance[:, 3:, 3:], axis1=1, axis2=2))
     position = np.sqrt(np.trace(m.covariance[:, :3, :3], axis1=1, axis2=2))
+    parts: list[str | Figure]
     parts = [f"<p>{len(m.frames)} of {total} frames solved; {m.inliers.sum()} corners used, {(~m.inliers & np.isfinite(m.residuals[:, 0])).sum()} "
              f"set aside as outliers. A corner scatters by <b>{m.noise:.4f} px</b> per axis. A pose is uncertain by "
              f"{np.sqrt((position**2).mean()) * 1e6:.1f} &micro;m and {np.sqrt((rotation**2).mean()) * 1e6:.1f} &micro;rad "
@@ -113,7 +114,7 @@ def _residual_maps(m: Measurement) -> Figure:
         centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
         enough = count >= 5
         rms = np.sqrt(np.bincount(index, weights=(r**2).sum(axis=1)) / count / 2)
-        dots = axes.scatter(*centre[enough].T, c=rms[enough], s=40, cmap="viridis", marker="s", alpha=0.5)
+        dots = axes.scatter(centre[enough, 0], centre[enough, 1], c=rms[enough], s=40, cmap="viridis", marker="s", alpha=0.5)
         scale = max(np.abs(mean[enough]).max(initial=0), 1e-6) / (0.8 * cell)
         axes.quiver(*centre[enough].T, *mean[enough].T, angles="xy", scale_units="xy", scale=scale, color="crimson", width=0.004)
         figure.colorbar(dots, ax=axes, label="RMS, px", shrink=0.8)
@@ -187,6 +188,7 @@ def _worst_markers(m: Measurement) -> list[tuple[int, int, str]]:
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, found: Identified) -> None:
     """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
     correction = calibration.correction
+    parts: list[str | Figure]
     parts = [*worth(calibration.claim), *_held(calibration.held_out),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
              before_after(*errors_of(correction, samples), samples.frame),
@@ -198,8 +200,10 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 
 
-def worth(claim: Claim) -> list[str]:
-    """HTML paragraphs of a Claim: the verdict, then on what it rests."""
+def worth(claim: Claim | None) -> list[str]:
+    """HTML paragraphs of a Claim: the verdict, then on what it rests; none of a calibration that claims nothing."""
+    if claim is None:
+        return []
     first, *rest = verdict(claim)
     return [f"<p><b>{html.escape(first[0].upper() + first[1:])}.</b></p>",
             "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in rest) + "</ul>"]
@@ -285,7 +289,7 @@ def origin(calibration: Calibration) -> str:
 
 def flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Rows (name, value) of a nested dict, for a table."""
-    rows = []
+    rows: list[tuple[str, Any]] = []
     for key, value in tree.items():
         name = f"{prefix}{key}"
         rows += flat(value, name + " / ") if isinstance(value, dict) else [(name, " ".join(map(str, value)) if isinstance(value, list) else value)]

@@ -77,14 +77,14 @@ def _hash(paths: Iterable[Path]) -> str:
 def save(path: Path | str, calibration: Calibration) -> None:
     """Write a calibration.json, whole or not at all."""
     correction = calibration.correction
-    arm = correction.nominal.kind == "arm"
+    arm = isinstance(correction, ArmCorrection)
     tree = {
         "schema": SCHEMA, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
         "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS,
         "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
-        **({"visited": correction.visited.tolist()} if arm else {}),
+        **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
         "provenance": calibration.provenance,
@@ -95,24 +95,30 @@ def save(path: Path | str, calibration: Calibration) -> None:
 def load(path: Path | str) -> Calibration:
     """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
     of another shape or a number that cannot be."""
-    tree = json_file.load(path, "calibration", SCHEMA)
+    tree = json_file.load(Path(path), "calibration", SCHEMA)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
                   f"{len(nominal.axes)}")
-    arm, axes = nominal.kind == "arm", len(nominal.axes)
-    count = len(names(nominal)) if arm else 42
-    parts = _parts_in(tree, axes, arm)
-    correction = ArmCorrection(nominal, fitted, parts, tree.array("visited", (None, axes))) if arm else Correction(nominal, fitted, parts)
+    correction = _correction_in(tree, nominal, fitted)
+    arm = isinstance(correction, ArmCorrection)
+    count = len(names(correction.nominal)) if arm else 42
     fit = tree.table("fit")
     return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None)
 
 
+def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm) -> Correction[Any, Any]:
+    axes = len(nominal.axes)
+    if isinstance(nominal, Arm) and isinstance(fitted, Arm):
+        return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
+    return Correction(nominal, fitted, _parts_in(tree, axes, False))
+
+
 def mechanism_out(mechanism: Hexapod | Arm) -> dict[str, Any]:
     """dict of a Hexapod or an Arm, as JSON holds it."""
-    if mechanism.kind == "arm":
+    if isinstance(mechanism, Arm):
         return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
                 "tool": _pose_out(mechanism.tool)}
     return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),

@@ -9,10 +9,11 @@ from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, needed, parameters
 from calib.arms.observations import Observations, of_samples
 from calib.arms.place import placed
+from calib.arms.profile import Profile
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import GAIN, Progress
 from calib.certify.held_out import HeldOut, compare, correlation, errors_of
-from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Workspace, claimed, dispersion, too_few
+from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, dispersion, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.samples import Samples
 from rig.design import Arm, Instrument
@@ -101,7 +102,7 @@ def calibrate(samples: Samples, nominal: Arm, instrument: Instrument | None, pro
     start = start_of(observations, nominal, instrument) if start is None else start
     owners = owners_model(observations, nominal, instrument, start)
     found = identify(observations, start)
-    parts = (None,) * len(nominal.joints)
+    parts: tuple[Profile | None, ...] = (None,) * len(nominal.joints)
     for _ in range(ROUNDS if profiles else 0):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
         parts = profile.fit(observations, replace(found, residuals=left))
@@ -161,10 +162,10 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     kept = samples.take(good)
     each = witnesses(kept, label, model.joint_jacobian(kept.commanded, found.arm))
     words = f"the middle {FILL * 100:.0f} % of the angles recorded, all joints free of each other"
-    told, asked = int(found.rank.free.sum()), found.rank.asked
-    tolerance = "what is told at all is fitted without one"
+    fitted = int(found.rank.free.sum())
+    told = Told(len(each), fitted, fitted, found.rank.asked, "what is told at all is fitted without one")
     if done.held_out is None:
-        return too_few(len(each), told, told, asked, tolerance, words)
+        return too_few(told, words)
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, PLACES, FILL)
     T = correction.predict(q)
@@ -177,5 +178,4 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(dispersion(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return claimed(workspace, draws, each, each.common.shape[2] > 0, rng, distinct=len(each), determined=told, better=told, unknowns=asked,
-                   tolerance=tolerance)
+    return claimed(workspace, draws, each, told, rng)

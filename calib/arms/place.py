@@ -81,8 +81,8 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
     """Arms with different bases, the likeliest first."""
     links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=RigidTransform.identity()))
     F, f = links.rotation.as_matrix(), links.translation
-    posed = observations.kind == "pose"
-    p, M = (observations.value.translation, observations.value.rotation.as_matrix()) if posed else (observations.value, None)
+    value = observations.value
+    p, M = (value.translation, value.rotation.as_matrix()) if isinstance(value, RigidTransform) else (value, None)
     X = _covering(ROTATIONS) if base else arm.base.rotation.as_matrix()[None]
     one = np.broadcast_to(np.eye(3), F.shape)
     known_z = None if tool else arm.tool.translation
@@ -102,7 +102,7 @@ def _starts(observations: Observations, arm: Arm, base: bool, tool: bool) -> lis
     x = X.reshape(-1, 9)
     square = np.einsum("ri,ij,rj->r", x, P.T @ P, x) - 2 * x @ (P.T @ right)[:, 0] + (right**2).sum()
     cost = np.maximum(square, 0) / COARSE[0] ** 2
-    if posed:
+    if M is not None:
         K = np.einsum("rkj,jikl->ril", X, np.einsum("mji,mkl->jikl", F, M), optimize=True)  # sum of F'X'M, whose nearest rotation is Z
         best = np.linalg.svd(K, compute_uv=False)
         best[:, 2] *= np.sign(np.linalg.det(K))

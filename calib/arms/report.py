@@ -18,6 +18,7 @@ from rig.recording import Recording
 
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
+    parts: list[str | Figure]
     parts = [*worth(calibration.claim), *_held(done),
              "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
              before_after(*errors_of(calibration.correction, samples), samples.frame),
@@ -31,7 +32,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
 
 def _held(done: Certified) -> list[str]:
     held = done.held_out
-    if held is None:
+    if held is None or done.geometry is None or done.scattered is None:
         return []
     floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
     rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),

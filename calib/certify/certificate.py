@@ -15,8 +15,8 @@ from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples
 from calib.identify.tolerance import tolerance
-from rig import mechanisms
 from rig.design import Hexapod
+from rig.mechanisms import hexapod as mechanism
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
@@ -42,7 +42,7 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     """
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
-    to_pose = np.linalg.inv(mechanisms.of(fitted).jacobian(T_base_platform, fitted))
+    to_pose = np.linalg.inv(mechanism.jacobian(T_base_platform, fitted))
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + to_pose @ np.diag(calibration.scatter**2) @ np.swapaxes(to_pose, 1, 2)
 
 
@@ -98,7 +98,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     good = done.found.inliers
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
-    each = witnesses(kept, label, np.linalg.inv(mechanisms.of(nominal).jacobian(kept.T_base_platform, nominal)))
+    each = witnesses(kept, label, np.linalg.inv(mechanism.jacobian(kept.T_base_platform, nominal)))
     offset = done.correction.rho(each.commanded)
     found = identify(each, nominal, offset, done.found.prior)
     return promise(found, tolerance(found, nominal), done.correction, each, rng)

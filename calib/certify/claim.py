@@ -7,6 +7,7 @@ to draw, is the claim. How much noise and misfit there is, is drawn as well (chi
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,9 +17,9 @@ from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
 from calib.samples import Samples
 from calib.identify.tolerance import Tolerance, spread
-from rig import mechanisms
 from rig.design import Hexapod
 from rig.errors import NotConverged
+from rig.mechanisms import hexapod as mechanism
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
 
@@ -74,19 +75,29 @@ class Workspace:
         return out
 
 
-def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, common: bool, rng: np.random.Generator, **known: int | str) -> Claim:
+class Told(NamedTuple):
+    """What recorded poses tell, as in Claim."""
+
+    distinct: int
+    determined: int
+    better: int
+    unknowns: int
+    tolerance: str
+
+
+def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, told: Told, rng: np.random.Generator) -> Claim:
     """Claim of machines drawn (d, k) about the corrected model; samples : Samples, for what their instrument adds.
 
-    common : whether that has errors shared by all poses; known : the other fields. rng : numpy Generator
+    told : Told by the poses that the machines were drawn from; rng : numpy Generator
     """
     before, after = workspace.squares(draws)
     seen = np.full(len(draws), np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
-    if common:
+    if samples.common.shape[2]:
         shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], len(draws)))
         seen = seen + (shared**2).sum(axis=1).mean(axis=0)
     ratio = np.sqrt(before[:, 0] / after[:, 0])
     measured = np.sqrt((before[:, 0] + seen) / (after[:, 0] + seen))
-    return Claim(workspace=workspace.words, before=_both(before), after=_both(after), ratio=_three(ratio), measured=_three(measured), **known)
+    return Claim(*told, workspace.words, _both(before), _both(after), _three(ratio), _three(measured))
 
 
 def _three(values: np.ndarray) -> tuple[float, ...]:
@@ -97,10 +108,10 @@ def _both(squares: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(_three(np.sqrt(column)) for column in squares.T)
 
 
-def too_few(distinct: int, determined: int, better: int, unknowns: int, tolerance: str, workspace: str) -> Claim:
+def too_few(told: Told, workspace: str) -> Claim:
     """The Claim of fewer than LEAST distinct configurations: none, and why."""
-    return Claim(distinct, determined, better, unknowns, tolerance, workspace, None, None, None, None,
-                 f"{_counted(distinct)} cannot say how the model does at others; a factor takes {LEAST}")
+    return Claim(*told, workspace, None, None, None, None,
+                 f"{_counted(told.distinct)} cannot say how the model does at others; a factor takes {LEAST}")
 
 
 def _counted(distinct: int) -> str:
@@ -126,19 +137,17 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Hexa
     determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
     nominal, fitted = correction.nominal, correction.fitted
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
-    said = _tolerance_in_words(tolerance)
+    told = Told(distinct, determined, better, 42, _tolerance_in_words(tolerance))
     if distinct < LEAST:
-        return too_few(distinct, determined, better, 42, said, middle)
+        return too_few(told, middle)
     commands = low_discrepancy(nominal.strut_range, PLACES, FILL)
     commands, T = _closing(commands, correction)
-    module = mechanisms.of(nominal)
-    offset = difference(T, module.forward(commands, nominal))
-    to_pose = np.linalg.inv(module.jacobian(T, fitted))
+    offset = difference(T, mechanism.forward(commands, nominal))
+    to_pose = np.linalg.inv(mechanism.jacobian(T, fitted))
     own = _scatters(found, rng) @ (to_pose**2).mean(axis=0).reshape(2, 3, 6).sum(axis=1).T
     workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
-    return claimed(workspace, draws, samples, samples.common.shape[2] > 0, rng, distinct=distinct, determined=determined, better=better,
-                   unknowns=42, tolerance=said)
+    return claimed(workspace, draws, samples, told, rng)
 
 
 def _closing(commands: np.ndarray, correction: Correction[Hexapod, Radial]) -> tuple[np.ndarray, RigidTransform]:

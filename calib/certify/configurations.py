@@ -21,14 +21,14 @@ def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     for k, row in enumerate(scaled):
         near = np.flatnonzero((np.abs(first[:count] - row) <= 1).all(axis=1))
         if not len(near):
-            first[count], near, count = row, [count], count + 1
+            first[count], near, count = row, np.array([count]), count + 1
         out[k] = near[0]
     return out
 
 
 def ranges(mechanism: Hexapod | Arm) -> np.ndarray:
     """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
-    return mechanism.limits if mechanism.kind == "arm" else mechanism.strut_range
+    return mechanism.limits if isinstance(mechanism, Arm) else mechanism.strut_range
 
 
 def folds(label: np.ndarray, count: int) -> np.ndarray:

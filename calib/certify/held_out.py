@@ -47,8 +47,8 @@ def figures(errors: np.ndarray) -> Figures:
         length = np.linalg.norm(parts, axis=1)
         return float(np.sqrt(np.mean(length**2))), float(np.quantile(length, 0.95)), float(length.max())
 
-    mean = tuple(float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
-    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), mean)
+    position, rotation = (float(np.linalg.norm(parts, axis=1).mean()) for parts in (errors[:, :3], errors[:, 3:]))
+    return Figures(len(errors), three(errors[:, :3]), three(errors[:, 3:]), tuple(errors.mean(axis=0).tolist()), (position, rotation))
 
 
 def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.ndarray, rng: np.random.Generator,
@@ -70,7 +70,8 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
 
 def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
     """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
-    return tuple(float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    return position, rotation
 
 
 def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:

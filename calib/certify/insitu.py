@@ -75,9 +75,10 @@ class Limbs:
 def stated(design: Design) -> Hexapod:
     """Hexapod of the limbs as rig.toml has them. Raises RigError for a rig without [insitu] or that is no hexapod."""
     limbs = design.insitu
-    if limbs is None or design.mechanism.kind != "hexapod":
-        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma"
-                       if limbs is None else f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
+    if limbs is None:
+        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
+    if not isinstance(design.mechanism, Hexapod):
+        raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
     home = design.mechanism.home
     length = np.linalg.norm(home.apply(np.array(limbs.platform_joints)) - limbs.base_joints, axis=1)
     return Hexapod(limbs.base_joints, limbs.platform_joints, np.stack([0.2 * length, 3 * length], axis=1), home, limbs.zeros)
@@ -89,10 +90,12 @@ def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
     sensors = recording.sensors
-    missing = [name for name in CHANNELS if sensors is None or name not in sensors.channels]
+    told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns m1..m6 (m); "
+    if sensors is None:
+        raise RigError(told + "there is no sensors.csv")
+    missing = [name for name in CHANNELS if name not in sensors.channels]
     if missing:
-        raise RigError(f"{recording.folder}: measuring limbs are read from sensors.csv, columns m1..m6 (m); "
-                       + ("there is no sensors.csv" if sensors is None else f"{missing[0]!r} is missing"))
+        raise RigError(told + f"{missing[0]!r} is missing")
     frames, t = recording.exposures.times()
     after = np.clip(np.searchsorted(sensors.t, t), 1, len(sensors.t) - 1)
     exact = np.isclose(sensors.t[after], t, atol=1e-6) | np.isclose(sensors.t[after - 1], t, atol=1e-6)

@@ -15,7 +15,7 @@ def verdict(claim: Claim) -> list[str]:
     told = (f"{claim.determined} of {claim.unknowns} combinations of the parameters are told by these poses"
             + (f", {claim.better} of them better than the owner's figures are" if claim.better < claim.determined else "")
             + (f"; {rest} rest on the owner's figures" if rest else "") + f" ({claim.tolerance})")
-    if claim.ratio is None:
+    if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
         return [f"no factor is claimed: {claim.reason}", told,
                 "no held-out figure either: what is left at the recorded configurations would only say how well these are known"]
     before, after = claim.before[0], claim.after[0]
@@ -36,7 +36,9 @@ def kept(held: HeldOut, claim: Claim) -> bool:
 
 
 def most(held: HeldOut, claim: Claim) -> float:
-    """m RMS, what a recording may be off by where the claim is kept."""
+    """m RMS, what a recording may be off by where the claim is kept. Raises ValueError for a Claim without a factor."""
+    if claim.after is None:
+        raise ValueError("no factor is claimed, so there is nothing to keep")
     return math.sqrt(claim.after[0][2] ** 2 + CHANCE * held.floor[0] ** 2)
 
 

@@ -84,7 +84,7 @@ def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[s
     if not len(bad):
         return
     lines = []
-    for i in bad:
+    for i in bad.tolist():
         axes = [f"{name} {j + 1} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
                 f"{'below' if beyond[i, j] < 0 else 'above'} its range" for j in np.flatnonzero(beyond[i])]
         lines.append(f"{labels[i]}: " + "; ".join(axes))
@@ -104,7 +104,7 @@ def calibrate(samples: Samples, nominal: Hexapod, remainder: str | tuple[Radial 
     if prior is None:
         prior = tolerance(identify(samples, nominal), nominal).prior
     found = identify(samples, nominal, prior=prior)
-    parts = (None,) * 6
+    parts: tuple[Radial | None, ...] = (None,) * 6
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
         return Correction(nominal, found.hexapod, parts), found

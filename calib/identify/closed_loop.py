@@ -25,7 +25,7 @@ class Measured(NamedTuple):
 
 
 @njit(cache=True)
-def solve_in_place(A, B):
+def solve_in_place(A: np.ndarray, B: np.ndarray) -> bool:
     """Gaussian elimination with row pivots: B (n, k) becomes A^-1 B, A (n, n) is used up. Returns whether A is regular."""
     n, width = A.shape[0], B.shape[1]
     for j in range(n):
@@ -55,7 +55,7 @@ def solve_in_place(A, B):
 
 
 @njit(cache=True)
-def cholesky_in_place(C):
+def cholesky_in_place(C: np.ndarray) -> bool:
     """Lower triangle L of C = L L^T (n, n), in C's own. Returns whether C is positive definite."""
     n = C.shape[0]
     for j in range(n):
@@ -73,7 +73,7 @@ def cholesky_in_place(C):
 
 
 @njit(cache=True)
-def forward_in_place(L, B):
+def forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
     """B (n, k) becomes L^-1 B, with the lower triangle of L (n, n)."""
     n, width = L.shape[0], B.shape[1]
     for i in range(n):
@@ -85,7 +85,7 @@ def forward_in_place(L, B):
 
 
 @njit(cache=True)
-def _turn(R, w):
+def _turn(R: np.ndarray, w: np.ndarray) -> None:
     """R (3, 3) becomes R exp(w) for a rotation vector w (3,)."""
     x, y, z = w[0], w[1], w[2]
     angle = np.sqrt(x * x + y * y + z * z)
@@ -101,7 +101,7 @@ def _turn(R, w):
 
 
 @njit(cache=True)
-def struts(R, t, p, length, u, A):
+def struts(R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: np.ndarray, A: np.ndarray) -> None:
     """Into length (6,), unit directions u (6, 3) in the base and A (6, 6): the struts at pose R, t for parameters p (42,)."""
     for i in range(6):
         a = p[18 + 3 * i : 21 + 3 * i]
@@ -118,7 +118,7 @@ def struts(R, t, p, length, u, A):
 
 
 @njit(cache=True)
-def pose_of(command, p, R, t):
+def pose_of(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) -> bool:
     """Newton from pose R (3, 3), t (3,), moved in place, to the pose of a command (6,) m. Returns whether it got there."""
     length, u, A, right = np.empty(6), np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     reach = 0.3 * np.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) + 1e-3
@@ -145,7 +145,7 @@ def pose_of(command, p, R, t):
 
 
 @njit(cache=True)
-def error(R, t, R_measured, t_measured, e):
+def error(R: np.ndarray, t: np.ndarray, R_measured: np.ndarray, t_measured: np.ndarray, e: np.ndarray) -> None:
     """Into e (6,): position (m) and rotation vector (rad) of the measured pose seen in the predicted one."""
     M = np.empty((3, 3))
     for i in range(3):
@@ -160,7 +160,8 @@ def error(R, t, R_measured, t_measured, e):
 
 
 @njit(cache=True)
-def row(R, t, p, measured, scatter, right, J):
+def row(R: np.ndarray, t: np.ndarray, p: np.ndarray, measured: Measured, scatter: np.ndarray, right: np.ndarray,
+        J: np.ndarray) -> tuple[bool, np.ndarray]:
     """One pose's whitened rows, docs/mathematics.md (7): right (6, 1 + k), whose columns from the second are given in the pose's tangent,
     gets the error as its first and is whitened in place; J (6, 42) and the struts' own columns S (6, 6), returned, likewise.
 
@@ -195,7 +196,8 @@ def row(R, t, p, measured, scatter, right, J):
 
 
 @njit(cache=True)
-def rows(commands, R, t, p, measured, scatter, right, J):
+def rows(commands: np.ndarray, R: np.ndarray, t: np.ndarray, p: np.ndarray, measured: Measured, scatter: np.ndarray, right: np.ndarray,
+         J: np.ndarray) -> int:
     """All poses' whitened rows, as `row` has them: right (n, 6, 1 + k), J (n, 6, 42); R, t (n, ..) start near the predicted poses and
     become them.
 

@@ -51,7 +51,7 @@ def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion:
     candidates, G = _candidates(hexapod, sigmas, seed)
     known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
     M0 = known.T @ known
-    picked = []
+    picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
         M = M0 + _sum(G, picked)
@@ -125,7 +125,7 @@ def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.nd
 
 
 def _root(rows: np.ndarray) -> np.ndarray:
-    R = np.linalg.qr(rows, mode="r") / PLAUSIBLE
+    R: np.ndarray = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
     return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
 
 

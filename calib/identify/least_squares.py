@@ -98,8 +98,8 @@ def _triangle(linear: Linear, inliers: np.ndarray, basis: np.ndarray | None) -> 
 def _r(rows: np.ndarray, width: int) -> np.ndarray:
     """Upper triangle (width, width) of the QR factorisation of rows, with zeros below where there are fewer rows."""
     if len(rows) > 2 * CHUNK:
-        rows = np.concatenate([np.linalg.qr(rows[at : at + CHUNK], mode="r") for at in range(0, len(rows), CHUNK)])
-    R = np.linalg.qr(rows, mode="r")
+        rows = np.concatenate([np.asarray(np.linalg.qr(rows[at : at + CHUNK], mode="r")) for at in range(0, len(rows), CHUNK)])
+    R = np.asarray(np.linalg.qr(rows, mode="r"))
     return R if len(R) == width else np.concatenate([R, np.zeros((width - len(R), width))])
 
 

@@ -52,7 +52,7 @@ def gauge(hexapod: Hexapod) -> np.ndarray:
 
 def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
     """A unit direction (42,) in words: up to TERMS of the patterns {name: (42,) unit} or single parameters, the largest first."""
-    left, terms = direction.copy(), []
+    left, terms = direction.copy(), list[str]()
     while len(terms) < TERMS and left @ left > 1 - MOSTLY:
         shares = {name: left @ pattern for name, pattern in patterns.items()}
         name = max(shares, key=lambda key: abs(shares[key]))

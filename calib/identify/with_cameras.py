@@ -113,4 +113,4 @@ def _lens(camera: Camera) -> np.ndarray:
 def _camera(camera: Camera, q: np.ndarray) -> Camera:
     """The camera moved by the tangent q[:6] with the lens q[6:]."""
     fx, fy, cx, cy = q[6:10]
-    return replace(camera, pose=camera.pose * exp(q[:6]), matrix=[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], distortion=q[10:])
+    return replace(camera, pose=camera.pose * exp(q[:6]), matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), distortion=q[10:])

@@ -54,6 +54,9 @@ class Reached:
 
 def look(recording: Recording) -> tuple[Mistake, ...]:
     """The mistake that makes an arm's commands and poses disagree, if one does."""
+    arm = recording.design.mechanism
+    if recording.commands is None or recording.poses is None or not isinstance(arm, Arm):
+        return ()
     known, t = recording.exposures.times()
     all_q = np.stack([np.interp(t, recording.commands.t, column) for column in recording.commands.values.T], axis=1)
     index = np.searchsorted(known, recording.poses.frame)
@@ -63,7 +66,7 @@ def look(recording: Recording) -> tuple[Mistake, ...]:
     design, T = recording.design, recording.poses.T_base_platform[some]
     alone = design.instrument is not None and design.instrument.rotation_sigma is None
     v = written(recording)[some] if not alone else vector(T)
-    return in_order(_mistakes(Reached(design.mechanism, design.instrument, all_q, index[some], v, alone, T)))
+    return in_order(_mistakes(Reached(arm, design.instrument, all_q, index[some], v, alone, T)))
 
 
 def _mistakes(reached: Reached) -> Iterator[Mistake]:

@@ -49,7 +49,7 @@ class Online:
         scatter : (6,) m of each strut beyond the poses' covariance, or None
         covariance : (42, 42) m^2 of the start, from a calibration, or None for what an owner's figures are worth (5 mm)
         """
-        root = np.eye(42) / PRIOR if covariance is None else np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r")
+        root = np.eye(42) / PRIOR if covariance is None else np.asarray(np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r"))
         self.scatter = np.zeros(6) if scatter is None else np.asarray(scatter, float)
         self.start = Start(nominal, root, Machine(np.ascontiguousarray(nominal.home.as_matrix()), self.scatter**2))
         self.state = fresh(self.start, shared)
@@ -131,7 +131,7 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
     for each in (*waiting, pose):
         state = learnt(state, each, start)
     state, found = _examined(state, start)
-    dropped, innovation = (), state.innovation
+    dropped, innovation = tuple[int, ...](), state.innovation
     if waiting and not found:
         alone = learnt(before, pose, start)
         innovation = alone.innovation

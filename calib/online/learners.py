@@ -80,12 +80,12 @@ class Drifting(_Learner):
         """One pose; returns its whitened innovation (6,), N(0, I) where all is as modelled. Raises RigError as `rows` does."""
         matrix, before = T_base_platform.as_matrix(), self.p
         P = self.covariance + self.drift**2 * np.eye(42)
-        p, innovation = before, None
+        p, innovation = before, np.zeros(0)
         for _ in range(self.iterations):
             e, J = self.rows(x, matrix, covariance, p)
             S = J @ P @ J.T + np.eye(6)
             left = e + J @ (p - before)
-            if innovation is None:
+            if not len(innovation):
                 innovation = np.linalg.solve(np.linalg.cholesky(S), left)
             gain = np.linalg.solve(S, J @ P).T
             p, earlier = before + gain @ left, p

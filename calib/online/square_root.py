@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
 
 
 @njit(cache=True)
-def absorb(S, rows):
+def absorb(S: np.ndarray, rows: np.ndarray) -> None:
     """Householder reflections: the upper triangle S (k, w) takes in rows (m, w), whose first k columns become zero."""
     k, width, m = S.shape[0], S.shape[1], rows.shape[0]
     dot = np.empty(width)
@@ -85,7 +85,7 @@ def absorb(S, rows):
 
 
 @njit(cache=True)
-def frame_motion(R, t, out):
+def frame_motion(R: np.ndarray, t: np.ndarray, out: np.ndarray) -> None:
     """Into out (6, 6): the pose's tangent on the right by the base's tangent on the left, at pose R (3, 3), t (3,)."""
     out[:] = 0.0
     for i in range(3):
@@ -98,7 +98,7 @@ def frame_motion(R, t, out):
 
 
 @njit(cache=True)
-def follow(p, s, S):
+def follow(p: np.ndarray, s: np.ndarray, S: np.ndarray) -> None:
     """The estimate p (42,), s (c,) moves to where the triangle S has it, and z becomes zero."""
     c = len(s)
     k = c + 42
@@ -116,7 +116,7 @@ def follow(p, s, S):
 
 
 @njit(cache=True)
-def learn(pose, machine, estimate, slot, innovation, move):
+def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovation: np.ndarray, move: bool) -> int:
     """One pose into the estimate, in place. Returns REFUSED where the command closes on no pose near home or something is not regular;
     then nothing changed. Else ALARM where something may have changed, or QUIET.
 
@@ -158,7 +158,7 @@ def learn(pose, machine, estimate, slot, innovation, move):
 
 
 @njit(cache=True)
-def begin(S, sums, slot):
+def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
     """An onset begins in a slot: its columns of the triangle S and its sums are nothing yet."""
     at = S.shape[0] + 1 + KINDS * slot
     S[:, at : at + KINDS] = 0.0
@@ -167,7 +167,7 @@ def begin(S, sums, slot):
 
 
 @njit(cache=True)
-def gather(rows, k, sums):
+def gather(rows: np.ndarray, k: int, sums: np.ndarray) -> None:
     """Add to every onset's sums (WINDOW, SUMS) what a pose's rows (6, w) tell of it: the innovation is their column k."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:
@@ -183,7 +183,7 @@ def gather(rows, k, sums):
 
 
 @njit(cache=True)
-def suspicious(sums):
+def suspicious(sums: np.ndarray) -> bool:
     """Whether any onset's sums (WINDOW, SUMS) leave room for a change."""
     for w in range(WINDOW):
         if sums[w, -1] > 0:

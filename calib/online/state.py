@@ -39,11 +39,11 @@ class Learnt(NamedTuple):
 
 
 class State(NamedTuple):
-    """estimate : Estimate; count : poses learnt, those learnt again too; recent : the last ones, at most WINDOW; first : poses to
+    """estimate : Estimate; learnt : how many poses, those learnt again too; recent : the last ones, at most WINDOW; first : poses to
     linearise again, None once that is over; innovation : (6,) whitened, of the last pose; alarm : whether it leaves room for a change."""
 
     estimate: Estimate
-    count: int
+    learnt: int
     recent: tuple[Learnt, ...]
     first: tuple[Pose, ...] | None
     innovation: np.ndarray
@@ -71,7 +71,7 @@ def fresh(start: Start, shared: int) -> State:
 def other_session(state: State, shared: int) -> State:
     """State from which on the poses share other errors: `shared` new draws; what was known of the old ones is marginalised."""
     c, estimate = len(state.estimate.s), state.estimate
-    return State(begun(estimate.p, estimate.S[c:, c : c + 42], shared), state.count, (), None, state.innovation, False)
+    return State(begun(estimate.p, estimate.S[c:, c : c + 42], shared), state.learnt, (), None, state.innovation, False)
 
 
 def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
@@ -79,7 +79,7 @@ def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
 
     Raises RigError for a command that closes on no pose or a covariance that is none
     """
-    before, slot, innovation = state.estimate, state.count % WINDOW, np.empty(6)
+    before, slot, innovation = state.estimate, state.learnt % WINDOW, np.empty(6)
     after = Estimate(before.p.copy(), before.s.copy(), before.S.copy(), before.sums.copy())
     try:
         said = learn(pose, start.machine, after, slot, innovation, move)
@@ -91,7 +91,7 @@ def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
     first = state.first
     if first is not None:
         first = (*first, pose) if len(first) < AGAIN[-1] else None
-    return State(after, state.count + 1, recent, first, innovation, said == ALARM)
+    return State(after, state.learnt + 1, recent, first, innovation, said == ALARM)
 
 
 def linearised_again(state: State, start: Start) -> State:
@@ -101,7 +101,7 @@ def linearised_again(state: State, start: Start) -> State:
     begins, k = begun(p, start.root, len(s)), len(s) + 42
     begins.s[:] = s
     begins.S[:, k] = np.r_[-s, start.root @ (parameters(start.nominal) - p)]
-    again = State(begins, state.count, (), (), state.innovation, False)
+    again = State(begins, state.learnt, (), (), state.innovation, False)
     for pose in state.first:
         again = learnt(again, pose, start, move=False)
     follow(again.estimate.p, again.estimate.s, again.estimate.S)  # in place: nothing else holds this estimate yet
@@ -114,7 +114,7 @@ def evidence(state: State) -> list[Evidence]:
     if not state.alarm:
         return found
     for poses in range(1, len(state.recent) + 1):
-        total = state.estimate.sums[(state.count - poses) % WINDOW]
+        total = state.estimate.sums[(state.learnt - poses) % WINDOW]
         if round(total[-1]) != poses:
             break
         last = state.recent[-poses:]
@@ -130,7 +130,7 @@ def reopened(state: State, changes: tuple[Change, ...], start: Start) -> State:
     estimate = Estimate(before.p, before.s, before.S.copy(), np.zeros_like(before.sums))
     for change in changes:
         _loosen(estimate, change, start.nominal)
-    again = State(estimate, state.count - at, (), None, state.innovation, False)
+    again = State(estimate, state.learnt - at, (), None, state.innovation, False)
     for each in state.recent[-at:]:
         again = learnt(again, each.pose, start)
     return again
@@ -149,5 +149,5 @@ def _loosen(estimate: Estimate, change: Change, nominal: Hexapod) -> None:
         moves = gauge(with_parameters(nominal, estimate.p))[:, :6]
         g = np.concatenate([np.zeros((c, 6)), moves * LARGER * np.abs(change.size)])
     R, r = estimate.S[:, :k], g.shape[1]
-    both = np.linalg.qr(np.block([[np.eye(r), np.zeros((r, k))], [-R @ g, R]]), mode="r")
+    both = np.asarray(np.linalg.qr(np.block([[np.eye(r), np.zeros((r, k))], [-R @ g, R]]), mode="r"))
     estimate.S[:, :k] = both[r:, r:]

@@ -38,7 +38,7 @@ class Learner:
         self._nominal, self._tolerance = nominal, tolerance
         self._correction = calibration.correction if calibration else Correction(nominal, nominal, (None,) * 6)
         self._online = Online(self._correction.fitted, 0, calibration.scatter, calibration.covariance) if calibration else Online(nominal, 0)
-        self._calibrated, self._errors = calibration is not None, []
+        self._calibrated, self._errors = calibration is not None, list[np.ndarray]()
         self._drifting = False
 
     @property
@@ -74,7 +74,9 @@ class LimbWatch:
     """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with vision."""
 
     def __init__(self, design: Design) -> None:
-        self._nominal, self._sigma = insitu.stated(design), design.insitu.length_sigma
+        self._nominal = insitu.stated(design)
+        assert design.insitu is not None  # or there had been an error
+        self._sigma = design.insitu.length_sigma
         self._read: list[tuple[np.ndarray, RigidTransform, np.ndarray]] = []
         self._limbs: insitu.Limbs | None = None
         self._agreed = True

@@ -23,6 +23,10 @@ class Kind(Protocol[M]):
         """T_base_platform (...) of commanded values (..., axes)."""
         ...
 
+    def inverse(self, T_base_platform: RigidTransform, mechanism: M, /) -> np.ndarray:
+        """Commanded values (..., axes) that give poses T_base_platform (...)."""
+        ...
+
     def limits(self, values: np.ndarray, mechanism: M, /) -> np.ndarray:
         """How far commanded values (..., axes) lie outside the travel: negative below, positive above, 0 inside."""
         ...

@@ -51,7 +51,7 @@ def sigma_of(learner, strut):
     """m, standard error with which the last pose alone told the length of a strut (1..6), everything else as known then."""
     from calib.online.square_root import KINDS, WINDOW
 
-    total = learner.state.estimate.sums[(learner.state.count - 1) % WINDOW]
+    total = learner.state.estimate.sums[(learner.state.learnt - 1) % WINDOW]
     return float(total[1 + KINDS + (KINDS + 1) * (strut - 1)] ** -0.5)
 
 

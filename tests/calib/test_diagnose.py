@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import store
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import certify
 from calib.diagnose.engine.chance import davies

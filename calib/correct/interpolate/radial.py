@@ -68,13 +68,9 @@ def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, a
 def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
     """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
     thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
-    best = None
-    for own, whole in STARTS:
-        start = np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0])
-        found = minimize(_likelihood, start, (scaled[thin], y[thin], v[thin], axis), jac=True, method="L-BFGS-B", bounds=BOUNDS,
-                         options={"maxiter": 40})
-        if best is None or found.fun < best.fun:
-            best = found
+    fits = [minimize(_likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]), (scaled[thin], y[thin], v[thin], axis), jac=True,
+                     method="L-BFGS-B", bounds=BOUNDS, options={"maxiter": 40}) for own, whole in STARTS]
+    best = min(fits, key=lambda fit: fit.fun)
     null = minimize(lambda p: _noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
     return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
 
