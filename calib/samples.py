@@ -17,7 +17,7 @@ class Samples:
     T_base_platform : RigidTransform (n,), measured (GDK of the commanded configuration)
     covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out; diagonal and
     infinite for rotations that were not measured
-    common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses
+    common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses, docs/mathematics.md (6)
     """
 
     frame: np.ndarray

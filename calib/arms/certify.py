@@ -132,7 +132,10 @@ def owners_model(observations: Observations, nominal: Arm, instrument: Instrumen
 
 
 def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters' and what the model leaves."""
+    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters' and what the model leaves.
+
+    docs/mathematics.md (21)
+    """
     J = model.parameter_jacobian(commands, calibration.correction.fitted)
     known = np.arange(6) < len(calibration.scatter)  # of rotations that were never measured, nothing is known beyond the parameters
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)

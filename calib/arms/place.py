@@ -1,7 +1,7 @@
 """Where an arm stands in an instrument's frame, and where the target sits on its hand, before anything else is known.
 
 For given rotation X of the base, what positions say of the target z on the hand and of the base's place t is linear, and what is then
-left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't, with unknowns that no longer hold X. It is looked
+left is a quadratic function of X alone: p = X (F z + f) + t, so X'p - f = F z + X't, docs/mathematics.md (8), free of X on the right. It is looked
 at over rotations that cover all of SO(3); measured rotations add how well X F Z = M holds with the best Z. The best few are refined
 with base, tool and the joints' zeros, these held near the maker's; the best of them is the answer. So a hand that turns about one axis
 alone, whose rotations leave a whole family of answers, is placed by its positions, and zeros that are off mislead nobody.

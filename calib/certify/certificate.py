@@ -38,6 +38,8 @@ class Certified:
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
     """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters' and the struts' own scatter.
 
+    docs/mathematics.md (21)
+
     calibration : Calibration of a hexapod
     """
     fitted = calibration.correction.fitted

@@ -3,7 +3,8 @@
 Machines are drawn that are as the poses have them, where the poses tell, and as the owner's tolerance has them, where these do
 not: so what is promised away from the recorded configurations holds how far it is extrapolated. Each drawn machine is driven all
 over the middle of the strokes, once by the owner's model and once by the calibrated one; the ratio of the two RMS errors, from draw
-to draw, is the claim. How much noise and misfit there is, is drawn as well (chi-square: few configurations tell it badly).
+to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and misfit there is, is drawn as well
+(chi-square: few configurations tell it badly).
 """
 
 from dataclasses import dataclass

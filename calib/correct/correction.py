@@ -34,8 +34,6 @@ R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction(Generic[M, R]):
     """nominal : the mechanism as its owner believes it; fitted : its smooth part; remainder : per axis a Radial or Profile, or None.
-
-    docs/mathematics.md (19), (20)
     """
 
     nominal: M
@@ -52,7 +50,7 @@ class Correction(Generic[M, R]):
         return mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
-        """KSF (..., axes) m at commands (..., axes): commanded less what the owner's model says for the pose it gives."""
+        """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model says for the pose it gives."""
         return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
@@ -60,7 +58,7 @@ class Correction(Generic[M, R]):
         return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
 
     def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
-        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m; limits are for `reachable` to check.
+        """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for `reachable` to check.
 
         Raises NotConverged with index, commands and residual (m) where the fixed point is not found
         """

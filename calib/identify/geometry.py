@@ -63,7 +63,7 @@ def with_parameters(hexapod: Hexapod, p: np.ndarray) -> Hexapod:
 
 
 def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = None, prior: np.ndarray | None = None) -> Identified:
-    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow.
+    """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow, docs/mathematics.md (7).
 
     samples : Samples; nominal : Hexapod, where the fit starts and where its prior holds what the poses do not tell
     offset : (n, 6) m or None, known deviations of the struts (commanded less effective), taken off the commands first
@@ -139,7 +139,7 @@ def loop_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarr
 def pose_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     """J_p (..., 6, 42): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
 
-    delta_e = J_p delta_x; source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
+    delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
     """
     return np.linalg.solve(mechanism.jacobian(T_base_platform, hexapod), loop_jacobian(T_base_platform, hexapod))
 

@@ -37,7 +37,7 @@ class Joint:
 
 def solve(observations: Observations, commanded: np.ndarray, state: State, stated: tuple[Camera, ...], nominal: Hexapod,
           start: Hexapod | None = None) -> Joint:
-    """Joint of corners whose frames all were commanded, with every camera fixed.
+    """Joint of corners whose frames all were commanded, with every camera fixed: docs/mathematics.md (1), (2) and (3) in one solve.
 
     observations : Observations, outliers taken out, covariance to weigh by; commanded : (F, 6) m of its frames
     state : State to start from (cameras as adjusted); stated : Cameras as their owner has them, the lenses' prior

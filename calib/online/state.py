@@ -1,6 +1,6 @@
 """What the on-line filter knows at one moment, and the steps from one state to the next. A step makes a new state: to go back is to keep one.
 
-Source of the steps: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977 (docs/mathematics.md (22)).
+Source of the steps: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, docs/mathematics.md (22).
 """
 
 from dataclasses import dataclass
@@ -95,7 +95,10 @@ def learnt(state: State, pose: Pose, start: Start, move: bool = True) -> State:
 
 
 def linearised_again(state: State, start: Start) -> State:
-    """State with all poses so far, which `first` holds, once more from the start, linearised about the present estimate."""
+    """State with all poses so far, which `first` holds, once more from the start, linearised about the present estimate.
+
+    So the filter ends where the batch does, docs/mathematics.md (7)
+    """
     assert state.first is not None
     p, s = state.estimate.p, state.estimate.s
     begins, k = begun(p, start.root, len(s)), len(s) + 42
