@@ -92,7 +92,7 @@ def white(image: np.ndarray, camera: Camera, markers: MarkerMap) -> tuple[float,
     eight, full = grey(image)
     if full.shape != (camera.height, camera.width):
         raise CameraError(f"camera {camera.name!r} gives {full.shape[1]} x {full.shape[0]} px, but rig.toml has {camera.width} x {camera.height} px")
-    _, quads, _ = search(eight, markers)
+    quads = search(eight, markers).corners
     boxes = [full[max(int(low[1]), 0): int(high[1]) + 1, max(int(low[0]), 0): int(high[0]) + 1] for low, high in
              zip(quads.min(axis=1), quads.max(axis=1))] or [full]
     bright = [np.percentile(box, 90) for box in boxes if box.size]

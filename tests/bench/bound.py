@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tests.vision.pictures import camera, picture, quad
-from vision.corners.detect import place
+from vision.corners.detect import Read, place
 
 NAME = "DICT_5X5_100"
 BLURS, NOISES, TILTS, SIDES = (0.5, 1.0, 1.5), (0.5, 1.0, 2.0, 4.0), (0, 35, 65), (25, 50, 120)
@@ -70,7 +70,7 @@ def _fitted(clean, scenes, noise, exact, view, markers, rng):
         for _ in range(DRAWS):
             image = clean[k] + rng.normal(0, noise, clean[k].shape)
             image = image if exact else np.clip(np.rint(image), 0, 255)
-            found = place(image.astype(np.float32), view, markers, [k], (corners + rng.normal(0, 0.3, (4, 2)))[None])
+            found = place(image.astype(np.float32), view, markers, Read([k], (corners + rng.normal(0, 0.3, (4, 2)))[None]))
             theirs.append(subpix(image, corners) - corners)
             if not len(found.marker):
                 lost += 1

@@ -106,23 +106,23 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.detect import grey, place
+    from vision.corners.detect import Read, grey, place
     from vision.corners.spread import PLAIN, empty_profile, learn
     from vision.reading.collect import ROUNDS
 
     out = {}
     for kind, shown in pictures.items():
         start = [(grey(image)[1] if image.dtype != np.float32 else image, view, np.asarray(ids), true) for image, view, ids, true in shown]
-        first = [place(full, view, markers, ids, true) for full, view, ids, true in start]
+        first = [place(full, view, markers, Read(ids, true)) for full, view, ids, true in start]
         spread = PLAIN
         for _ in range(ROUNDS):
             profile, widths = empty_profile(), []
             for (full, view, _, _), d in zip(start, first):
-                widths.append(place(full, view, markers, d.marker, d.corners, spread=spread, reach=0.0, profile=profile).blur)
+                widths.append(place(full, view, markers, d.read, spread=spread, reach=0.0, profile=profile).blur)
             spread = learn(spread, profile, float(np.median(np.concatenate(widths))))
         error = []
         for (full, view, ids, true), d in zip(start, first):
-            found = place(full, view, markers, d.marker, d.corners, spread=spread)
+            found = place(full, view, markers, d.read, spread=spread)
             at = {number: k for k, number in enumerate(ids.tolist())}
             error += [found.corners[k] - true[at[number]] for k, number in enumerate(found.marker.tolist())]
         square = np.sort(np.abs(error).ravel() ** 2)

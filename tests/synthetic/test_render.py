@@ -14,7 +14,7 @@ from rig.pose import pose
 from synthetic import render, scene
 from synthetic.sensor import expose
 from tests.synthetic.edges import edge_corners
-from vision.corners.detect import place
+from vision.corners.detect import Read, place
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
@@ -66,7 +66,7 @@ def test_corners_are_where_the_lens_puts_them(design, name, opengl):
         mean = picture.reshape(1024, render.SAMPLES, 1280, render.SAMPLES).mean(axis=(1, 3))
         errors.append(edge_errors(mean.astype(float), exact, rig.cameras[0]))
         image = expose(picture, Sensor(blur=0.5, bits=12), np.random.default_rng(0), render.SAMPLES) * np.float32(255 / 4095)
-        found = place(image, rig.cameras[0], marker_map(rig), numbers, exact)
+        found = place(image, rig.cameras[0], marker_map(rig), Read(numbers, exact))
         ours.append(found.corners - exact[[numbers.tolist().index(k) for k in found.marker]])
     assert all(len(e) >= 6 for e in errors)
     everything = np.concatenate(errors).reshape(-1, 2)

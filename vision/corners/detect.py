@@ -1,13 +1,15 @@
 """Image -> marker corners with covariance: OpenCV finds and reads the markers, the fit of the whole square places them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from vision.corners import edges, local_lens, square
-from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN
+from vision.corners import edges, gauss_newton, local_lens, sides, square
+from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN, Spread
 from vision.predict import expected
 from vision.targets import marker_cells
 
@@ -15,7 +17,10 @@ ITERATIONS = 25
 ROOM = 6.0  # px around a marker that its blur may take
 REACH = 3.0  # px from where the reader or a prediction puts them within which the sides of a marker are looked for
 SMALLEST_CELL = 2.5  # px across, below which cells run together
+CORRECTED = 25  # cells of which a reader would correct one
+BEND = 0.02  # of a marker's side, that a lens may bend it by
 WANDER = 1.5  # cells; a fit that ends farther from where the reader saw the corner is of something else
+LEAST_WANDER = 2.0  # px; so far a fit of the smallest marker may end
 EXPECTED_REACH = 6.0  # px, likewise, from where a pose that is expected puts them
 AROUND = 0.5  # of a marker's extent, to each side of where it is expected and not read, that is searched for any other
 BELIEVED = 0.5  # share of a body's markers that must be read where they are expected
@@ -24,9 +29,20 @@ COVERED = 0.3  # share of pixels that are no image of this marker, from which it
 LEAST_CONTRAST = 6.0  # standard deviations of the noise
 _NEXT = [1, 2, 3, 0]
 _UNREAD = "its bits are not to be read where it is expected"
-_REASONS = {square.NO_PIXELS: "too few pixels", square.SINGULAR: "its corners are not determined", square.WANDERED: "the fit turned over",
-            square.NO_CONTRAST: "white is no brighter than black", square.UNSETTLED: "the fit did not settle",
-            square.NOT_READ: _UNREAD}
+_REASONS = {gauss_newton.NO_PIXELS: "too few pixels", gauss_newton.SINGULAR: "its corners are not determined",
+            gauss_newton.WANDERED: "the fit turned over", gauss_newton.NO_CONTRAST: "white is no brighter than black",
+            gauss_newton.UNSETTLED: "the fit did not settle", gauss_newton.NOT_READ: _UNREAD}
+
+
+class Read(NamedTuple):
+    """Markers whose corners are known to a pixel or so: as a reader saw them, or where they are expected.
+
+    marker : (m,) identities; corners : (m, 4, 2) px; left_out : (identity, reason) of those that are not to be placed
+    """
+
+    marker: np.ndarray
+    corners: np.ndarray
+    left_out: Sequence[tuple[int, str]] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +62,11 @@ class Detection:
     noise: np.ndarray
     contrast: np.ndarray
     left_out: tuple[tuple[int, str], ...]
+
+    @property
+    def read(self) -> Read:
+        """The same as markers to be placed once more."""
+        return Read(self.marker, self.corners, self.left_out)
 
     def take(self, index):
         """The same with only the markers of an index or mask (m,)."""
@@ -92,14 +113,13 @@ def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtf
     """
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
-        found = place(grey(image, False)[1], camera, marker_map, marker_map.id[rows], places, (), spread, reach=EXPECTED_REACH, verify=True)
+        found = place(grey(image, False)[1], camera, marker_map, Read(marker_map.id[rows], places), spread, EXPECTED_REACH, verify=True)
         on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(number for number, _ in found.left_out)])
         if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
                 doubtful and _others(image, marker_map, rows[~read], places[~read])):
             return found
     eight, full = grey(image)
-    numbers, guess, left_out = search(eight, marker_map)
-    return place(full, camera, marker_map, numbers, guess, left_out, spread)
+    return place(full, camera, marker_map, search(eight, marker_map), spread)
 
 
 def _others(image, marker_map, rows, places):
@@ -115,7 +135,7 @@ def _others(image, marker_map, rows, places):
 
 
 def search(eight, marker_map):
-    """(identities (m,), corners (m, 4, 2) px to a pixel or so, [(identity, reason)] of those seen twice) in an image (height, width) uint8."""
+    """Read from an image (height, width) uint8; a marker that is seen twice is left out."""
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
         corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
@@ -127,29 +147,34 @@ def search(eight, marker_map):
     for number in [number for number, quads in found.items() if len(quads) > 1]:
         left_out.append((number, f"seen {len(found.pop(number))} times in one image"))
     numbers = sorted(found)
-    return np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out
+    return Read(np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out)
 
 
-def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, reach=REACH, verify=False, profile=None):
-    """Detection of markers (m identities) whose corners (m, 4, 2) px are known to a pixel or so.
+def place(full, camera, marker_map, read, spread=PLAIN, reach=REACH, verify=False, profile=None):
+    """Detection of markers that are Read.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
     reach : px that the sides may be away from the guess; 0 for one that is better than what profiles across them show
     verify : whether a marker's bits are read before it is believed to be there; where they are not, nothing is said of it
     profile : see vision.corners.spread, added to
     """
-    guess, numbers = np.asarray(guess, float).reshape(-1, 4, 2), np.asarray(numbers, int)
+    guess, numbers = np.asarray(read.corners, float).reshape(-1, 4, 2), np.asarray(read.marker, int)
     rows = marker_map.rows(numbers) if len(numbers) else np.zeros(0, int)
     patterns = [_pattern(marker_map.dictionary[row], number) for row, number in zip(rows.tolist(), numbers.tolist())]
     sizes = np.array([len(cells) for cells, _ in patterns], int)
-    parts, left_out = [], list(left_out)
+    manner = square.Manner(float(reach), 0 if verify else -1, ITERATIONS, spread.tables, LEVELS, spread.width)
+    parts, left_out = [], list(read.left_out)
     for size in np.unique(sizes):
         index = np.flatnonzero(sizes == size)
         margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
-        cells, seen = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
-        good, reasons, columns = _fit(full, camera, guess[index], cells, seen, int(size) - 4, margin, spread, reach, verify, profile)
+        printed = _Printed(*(np.array([patterns[i][k] for i in index]) for k in (0, 1)), margin)
+        manner = manner._replace(wrong=(int(size) - 2) ** 2 // CORRECTED if verify else -1)
+        squares = _cut_out(full, camera, guess[index], printed, spread, reach)
+        fits = _fit(squares, guess[index], manner, NO_PROFILE if profile is None else profile)
+        reasons = _reasons(fits, guess[index], int(size))
+        good = np.array([not reason for reason in reasons], bool)
         left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
-        parts.append((numbers[index[good]], *columns))
+        parts.append((numbers[index[good]], fits.corners[good], fits.covariances[good], fits.width[good], fits.noise[good], fits.contrast[good]))
     if not parts:
         empty = np.zeros(0)
         return Detection(np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out))
@@ -158,43 +183,58 @@ def place(full, camera, marker_map, numbers, guess, left_out=(), spread=PLAIN, r
     return Detection(*(column[order] for column in joined), tuple(left_out))
 
 
-def _fit(full, camera, quads, cells, seen, n, margin, spread, reach, verify, profile):
-    """(good (m,) bool, reasons, (corners, covariance, blur, noise, contrast) of the good) for quads (m, 4, 2) px of one size."""
-    m = len(quads)
+class _Printed(NamedTuple):
+    """What m markers of one size look like: cells and outlooks as in square.Squares, margins (m,) in cells."""
+
+    cells: np.ndarray
+    outlooks: np.ndarray
+    margins: np.ndarray
+
+
+def _cut_out(full, camera, quads, printed, spread, reach):
+    """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
-    sides = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
+    sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
     middle = quads.mean(axis=1)
     centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
-    polynomials = np.empty((m, 2, 10))
+    polynomials = np.empty((len(quads), 2, 10))
     local_lens.polynomials(local_lens.table(camera), centres, polynomials)
-    room = ROOM + reach + 0.02 * sides.max(axis=1)[:, None]
+    room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]
     low = np.clip(np.floor(quads.min(axis=1) - room), 0, [width, height]).astype(int)
     high = np.clip(np.ceil(quads.max(axis=1) + room) + 1, low, [width, height]).astype(int)
     boxes = np.concatenate([low, high], axis=1)
     starts = np.concatenate([[0], np.cumsum((high - low).prod(axis=1))])
     pixels = np.empty(starts[-1], np.float32)
-    edges.cut(full, boxes, starts, pixels)
+    sides.cut(full, boxes, starts, pixels)
     along = quads[:, _NEXT] - quads
     axes = np.stack([along[:, 0] - along[:, 2], along[:, 1] - along[:, 3]], axis=1)  # the marker's X and Y in the image
     directions = spread.rows(np.arctan2(axes[:, ::-1, 0], -axes[:, ::-1, 1]))  # an X edge lies along Y, its normal across
-    corners, covariances, results, status = np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), np.zeros((m, 6)), np.zeros(m, np.int64)
-    wrong = (n + 2) ** 2 // 25 if verify else -1  # cells that a reader would correct
-    square.fit_squares(pixels, starts, boxes, polynomials, centres, cells, seen, n, margin, quads.copy(), float(reach), wrong,
-                       spread.tables, LEVELS, directions, spread.width, ITERATIONS, corners, covariances, results, status,
-                       NO_PROFILE if profile is None else profile)
-    wandered = np.abs(corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides.max(axis=1) / (n + 2), 2.0)
-    reasons = [_reason(*row) for row in zip(status.tolist(), (sides.min(axis=1) / (n + 2)).tolist(), wandered.tolist(), *results.T.tolist())]
-    good = np.array([not reason for reason in reasons], bool)
-    return good, reasons, (corners[good], covariances[good], results[good, 4], results[good, 0], results[good, 1])
+    return square.Squares(pixels, starts, boxes, polynomials, centres, printed.cells, printed.outlooks, printed.margins, directions)
 
 
-def _reason(status, cell, wandered, noise, contrast, _, doubted, *others):
+def _fit(squares, quads, manner, profile):
+    """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
+    m = len(quads)
+    fits = square.Fits(quads.copy(), np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), *np.zeros((6, m)), np.zeros(m, np.int64), profile)
+    square.fit_squares(squares, manner, fits)
+    return fits
+
+
+def _reasons(fits, quads, size):
+    """Why each of the Fits is left out, or "" where it is not. quads : (m, 4, 2) px, where they were read; size : cells, white ring and all."""
+    sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
+    wandered = np.abs(fits.corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides_px.max(axis=1) / (size - 2), LEAST_WANDER)
+    columns = fits.status, sides_px.min(axis=1) / (size - 2), wandered, fits.noise, fits.contrast, fits.doubted
+    return [_reason(*row) for row in zip(*(column.tolist() for column in columns))]
+
+
+def _reason(status, cell, wandered, noise, contrast, doubted):
     """Why a marker is left out, or "" where it is not."""
-    if status == square.NOT_READ:
+    if status == gauss_newton.NOT_READ:
         return _UNREAD
     if cell < SMALLEST_CELL:
         return f"too small: a cell is {cell:.1f} px"
-    if status != square.OK:
+    if status != gauss_newton.OK:
         return _REASONS[status]
     if contrast < LEAST_CONTRAST * noise:
         return f"contrast {contrast:.0f} is lost in noise {noise:.1f}" if noise < MISFIT * 255 else "covered or not this marker"

@@ -1,179 +1,49 @@
-"""Where a square's edges are, to begin with: its sides found in profiles, and the pixels near its edges collected for the fit."""
+"""The pixels near a square's edges, collected for the fit, each with the edge or edges that it sees."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from vision.corners.jit import kernel
-from vision.corners.local_lens import to_ideal
 
 REACH = 3.6  # edge widths on either side of an edge that are looked at; with vision/corners/spread.py's KNOTS by the rule in tests/bench/reach.py:
 # of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and rendered pictures
 CLEAR = 3.2  # edge widths kept clear of whatever lies beyond the white margin
-PROFILES = 8  # along each side
-FAINTEST = 6.0  # grey levels; a step below this is none
-
-
-@kernel
-def cut(image, boxes, starts, out):
-    """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
-    for m in range(len(boxes)):
-        k = starts[m]
-        for y in range(boxes[m, 1], boxes[m, 3]):
-            for x in range(boxes[m, 0], boxes[m, 2]):
-                out[k] = image[y, x]
-                k += 1
-
-
-@kernel
-def _between(crop, x, y):
-    """Grey level between pixels, held at the border."""
-    x = min(max(x, 0.0), crop.shape[1] - 1.001)
-    y = min(max(y, 0.0), crop.shape[0] - 1.001)
-    i, j = int(x), int(y)
-    f, v = x - i, y - j
-    return (1 - v) * ((1 - f) * crop[j, i] + f * crop[j, i + 1]) + v * ((1 - f) * crop[j + 1, i] + f * crop[j + 1, i + 1])
-
-
-@kernel
-def straighten(crop, box, quad, size, reach):
-    """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
-
-    A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size` cells; it stays
-    where fewer than half its profiles show one.
-    """
-    lines = np.empty((4, 3))  # nx x + ny y = d
-    where, offsets = np.empty(PROFILES), np.empty(PROFILES)
-    profile, inside = np.empty(2 * int(math.ceil(reach)) + 1), np.empty(64)
-    for k in range(64):
-        s, t = (k % 8 + 0.5) / 8, (k // 8 + 0.5) / 8
-        x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
-        y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
-        inside[k] = _between(crop, x, y)
-    inside.sort()
-    if inside[58] - inside[5] < FAINTEST:
-        return
-    middle = 0.5 * (inside[58] + inside[5])  # of this marker's own black and white: a brighter face beside it has others
-    for k in range(4):
-        ax, ay = quad[k, 0] - box[0], quad[k, 1] - box[1]
-        ex, ey = quad[(k + 1) % 4, 0] - box[0] - ax, quad[(k + 1) % 4, 1] - box[1] - ay
-        length = max(math.sqrt(ex * ex + ey * ey), 1e-6)
-        nx, ny = ey / length, -ex / length
-        across = 0.0
-        for q in range(2, 4):
-            across -= 0.5 * ((quad[(k + q) % 4, 0] - quad[k, 0]) * nx + (quad[(k + q) % 4, 1] - quad[k, 1]) * ny)
-        near = min(reach, 0.9 * max(across, 1.0) / size)
-        steps, found = int(math.ceil(near)), 0
-        for q in range(PROFILES):
-            t = 0.06 + 0.88 * (q + 0.5) / PROFILES
-            for d in range(-steps, steps + 1):
-                profile[d + steps] = _between(crop, ax + t * ex + d * nx, ay + t * ey + d * ny)
-            nearest = 1e9
-            for d in range(2 * steps):
-                if profile[d] < middle <= profile[d + 1]:
-                    at = d - steps + (middle - profile[d]) / (profile[d + 1] - profile[d])
-                    if abs(at) < abs(nearest):
-                        nearest = at
-            if abs(nearest) <= near:
-                where[found], offsets[found] = t - 0.5, nearest
-                found += 1
-        shift, turn = 0.0, 0.0
-        if found >= PROFILES // 2:
-            centre = np.median(offsets[:found])
-            for tries in range(2):  # the second time without those that stand apart
-                n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
-                for q in range(found):
-                    if abs(offsets[q] - centre - turn * where[q]) < (2.0 if tries == 0 else 0.6):
-                        n += 1
-                        st += where[q]
-                        stt += where[q] * where[q]
-                        so += offsets[q]
-                        sot += where[q] * offsets[q]
-                det = n * stt - st * st
-                if n < PROFILES // 3 or det < 1e-3:
-                    break
-                turn = (n * sot - st * so) / det
-                centre = (so - turn * st) / n
-                shift = centre
-        px, py = ax + 0.5 * ex + shift * nx, ay + 0.5 * ey + shift * ny
-        dx, dy = ex + turn * nx, ey + turn * ny
-        lines[k, 0], lines[k, 1], lines[k, 2] = dy, -dx, dy * px - dx * py
-    for k in range(4):
-        a, b = lines[(k + 3) % 4], lines[k]
-        det = a[0] * b[1] - a[1] * b[0]
-        if abs(det) > 1e-6:
-            quad[k, 0] = (a[2] * b[1] - a[1] * b[2]) / det + box[0]
-            quad[k, 1] = (a[0] * b[2] - a[2] * b[0]) / det + box[1]
-
-
-@kernel
-def homography(quad, lens, centre, n, g):
-    """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4, 2) px.
-
-    False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
-    """
-    px, py = np.empty(4), np.empty(4)
-    for c in range(4):
-        px[c], py[c] = to_ideal(lens, (quad[c, 0] - centre[0]) / centre[2], (quad[c, 1] - centre[1]) / centre[2])
-    for c in range(4):
-        a, b = (c + 1) % 4, (c + 2) % 4
-        if not (px[a] - px[c]) * (py[b] - py[a]) - (py[a] - py[c]) * (px[b] - px[a]) > 1e-6:
-            return False
-    sx, sy = px[0] - px[1] + px[2] - px[3], py[0] - py[1] + py[2] - py[3]
-    dx1, dx2, dy1, dy2 = px[1] - px[2], px[3] - px[2], py[1] - py[2], py[3] - py[2]
-    det = dx1 * dy2 - dx2 * dy1
-    p, q = (sx * dy2 - dx2 * sy) / det, (dx1 * sy - sx * dy1) / det
-    a, b, c = px[1] - px[0] + p * px[1], px[3] - px[0] + q * px[3], px[0]
-    d, e, f = py[1] - py[0] + p * py[1], py[3] - py[0] + q * py[3], py[0]
-    inverse = ((e - f * q, c * q - b, b * f - c * e), (f * p - d, a - c * p, c * d - a * f), (d * q - e * p, b * p - a * q, a * e - b * d))
-    size = n + 2.0
-    last = inverse[2][2]
-    for k in range(3):
-        g[0, k] = (size * inverse[0][k] - inverse[2][k]) / last
-        g[1, k] = (size * inverse[1][k] - inverse[2][k]) / last
-        g[2, k] = inverse[2][k] / last
-    return True
-
-
-@kernel
-def misread(crop, box, quad, cells):
-    """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2) px.
-
-    All of them where white is no brighter than black. Five points of each cell are read.
-    """
-    size = cells.shape[0] - 2
-    px, py = quad[:, 0] - box[0], quad[:, 1] - box[1]
-    sx, sy = px[0] - px[1] + px[2] - px[3], py[0] - py[1] + py[2] - py[3]
-    dx1, dx2, dy1, dy2 = px[1] - px[2], px[3] - px[2], py[1] - py[2], py[3] - py[2]
-    det = dx1 * dy2 - dx2 * dy1
-    if not abs(det) > 1e-6:
-        return size * size
-    p, q = (sx * dy2 - dx2 * sy) / det, (dx1 * sy - sx * dy1) / det
-    read = np.empty((size, size))
-    total, count = np.zeros(2), np.zeros(2)
-    for j in range(size):
-        for i in range(size):
-            read[j, i] = 0
-            for k in range(5):
-                s, t = (i + 0.5 + (0.2, -0.2, 0.0, 0.0, 0.0)[k]) / size, (j + 0.5 + (0.0, 0.0, 0.0, 0.2, -0.2)[k]) / size
-                w = 1 + p * s + q * t
-                x = ((px[1] - px[0] + p * px[1]) * s + (px[3] - px[0] + q * px[3]) * t + px[0]) / w
-                y = ((py[1] - py[0] + p * py[1]) * s + (py[3] - py[0] + q * py[3]) * t + py[0]) / w
-                read[j, i] += _between(crop, x, y) / 5
-            white = 1 if cells[j + 1, i + 1] > 0.5 else 0
-            total[white] += read[j, i]
-            count[white] += 1
-    black, white = total[0] / max(count[0], 1.0), total[1] / max(count[1], 1.0)
-    if not white - black > FAINTEST:
-        return size * size
-    wrong = 0
-    for j in range(size):
-        for i in range(size):
-            wrong += (read[j, i] > (black + white) / 2) != (cells[j + 1, i + 1] > 0.5)
-    return wrong
-
-
 NOTHING, SEVERAL = 0, 1  # then one edge: 2 + 4 axis + 2 far side + white first
+
+
+
+class EdgePixels(NamedTuple):
+    """Pixels near a marker's edges, room for k of them.
+
+    points : (k, 2) float32, local ideal coordinates; greys : (k,) float32, 255ths of white
+    places : (k, 3) int32, kind, i, j. Kind +-1: one edge X = i, white on its right (+) or left (-); +-2: one edge Y = j, white
+    below (+) or above (-); 0: several edges around cell i, j
+    """
+
+    points: np.ndarray
+    greys: np.ndarray
+    places: np.ndarray
+
+
+class Printed(NamedTuple):
+    """One marker in an image: what is printed, and where it is looked for.
+
+    cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white; outlook : (n + 4, n + 4, 16) int8 of
+    them; n : bits each way; margin : cells of white around it; directions : (2,) rows of the spread's tables for its X and its Y edges
+    box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, 10) cubic polynomials from local pixel to local ideal coordinates
+    centre : (3,) x, y, scale px, of local coordinates
+    """
+
+    cells: np.ndarray
+    outlook: np.ndarray
+    n: int
+    margin: float
+    directions: np.ndarray
+    box: np.ndarray
+    lens: np.ndarray
+    centre: np.ndarray
 
 
 def outlook(cells):
@@ -215,14 +85,15 @@ def _row(quad, pad, y, low, high):
 
 
 @kernel
-def edge_pixels(crop, box, quad, lens, centre, seen, n, margin, g, s, points, greys, places):
-    """Collect the pixels near an edge; returns how many.
+def edge_pixels(crop, marker, quad, g, s, pixels):
+    """Collect the pixels near an edge into EdgePixels; returns how many.
 
-    quad : (4, 2) px, the corners; seen : `outlook` of the cells; points : (k, 2) out, local ideal coordinates; greys : (k,) out
-    places : (k, 3) out: kind, i, j. Kind +-1: one edge X = i, white on its right (+) or left (-); +-2: one edge Y = j, white
-    below (+) or above (-); 0: several edges around cell i, j
+    crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners
+    g : (3, 3) homography from local ideal coordinates to cells; s : px, width of the edges
     """
-    cx, cy, scale = centre
+    cx, cy, scale = marker.centre
+    box, lens, seen, n, margin = marker.box, marker.lens, marker.outlook, marker.n, marker.margin
+    points, greys, places = pixels.points, pixels.greys, pixels.places
     count, row = 0, np.empty((5, crop.shape[1]))
     # cells to the pixel in the middle of the marker; perspective changes them with w, and w is followed
     Xx, Xy = g[0, 0] - 0.5 * n * g[2, 0], g[0, 1] - 0.5 * n * g[2, 1]

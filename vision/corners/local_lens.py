@@ -1,6 +1,7 @@
 """A lens near one marker: cubic polynomials from pixels to ideal image coordinates, interpolated from a table made once per camera."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,9 +73,20 @@ def to_ideal(lens, u, v):
     return x, y
 
 
+class LocalPixel(NamedTuple):
+    """Local pixel coordinates u, v, and how they change with local ideal coordinates x, y: ux = du/dx and so on."""
+
+    u: float
+    v: float
+    ux: float
+    uy: float
+    vx: float
+    vy: float
+
+
 @kernel
 def to_pixel(lens, x, y, u, v):
-    """Local pixel coordinates that `to_ideal` sends to x, y, from a guess u, v; and the inverse slope du/dx, du/dy, dv/dx, dv/dy."""
+    """LocalPixel that `to_ideal` sends to x, y, from a guess u, v."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
         a, b = to_ideal(lens, u, v)
@@ -86,7 +98,7 @@ def to_pixel(lens, x, y, u, v):
         ux, uy, vx, vy = yv / det, -xv / det, -yu / det, xu / det
         u += ux * (x - a) + uy * (y - b)
         v += vx * (x - a) + vy * (y - b)
-    return u, v, ux, uy, vx, vy
+    return LocalPixel(u, v, ux, uy, vx, vy)
 
 
 @kernel

@@ -19,11 +19,12 @@ def _near(X, top):
 
 
 @kernel
-def segments(points, places, count, g, rows, x, sums):
+def segments(pixels, count, g, rows, x, sums):
     """sums (2, n + 5, n + 5, 2) over the pixels of each side of a cell, on X and on Y edges: slope times what the last step leaves, slope^2.
 
-    points, places : of `edge_pixels`; rows : of `_accumulate` in vision/corners/square.py, kept; x : the last step
+    pixels : EdgePixels, the first `count`; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; x : the last step
     """
+    points, places = pixels.points, pixels.places
     sums[:] = 0
     last, chunk, top = rows.shape[1] - 1, rows.shape[2], sums.shape[1] - 1
     left = np.empty(chunk, np.float32)
@@ -70,12 +71,14 @@ def misfit(sums, noise):
 
 
 @kernel
-def profile_left(points, greys, places, count, g, s, slope, tables, rows, light, limit, profile):
+def profile_left(pixels, count, square, tables, directions, limit, profile):
     """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
 
-    rows : (2,) of tables (d, STEPS + 1, 2) and profile, of the X and of the Y edges
-    A bin is a distance from the edge in widths, negative on the dark side.
+    pixels : EdgePixels, the first `count`; square : Square; tables : (d, STEPS + 1, 2), and directions (2,) the rows of it and of the profile
+    for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a distance from the edge in widths, negative on the dark side.
     """
+    points, greys, places = pixels.points, pixels.greys, pixels.places
+    g, s, slope, light, rows = square.g, square.width, square.slope, square.light, directions
     bins = profile.shape[1]
     for k in range(count):
         kind = places[k, 0]

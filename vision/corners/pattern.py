@@ -4,6 +4,7 @@ Source: bivariate normal, Drezner and Wesolowsky 1990
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,30 @@ STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 w
 MEETING = 3.0  # edge widths from two edges at once within which their meeting matters
 GRID = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+class Tables(NamedTuple):
+    """Edge spread functions of a marker's X and of its Y edges, each (STEPS + 1, 2): share of white and its slope over GRID."""
+
+    x: np.ndarray
+    y: np.ndarray
+
+
+class Meeting(NamedTuple):
+    """How a marker's edges look at one place. sx, sy : cells, widths of its X and Y edges; rho : correlation, the cosine between their normals."""
+
+    sx: float
+    sy: float
+    rho: float
+
+
+class Share(NamedTuple):
+    """Share of white at a place, and its derivatives to X and Y (per cell) and to the logarithm of the edges' width."""
+
+    white: float
+    by_X: float
+    by_Y: float
+    by_width: float
 
 
 @kernel
@@ -36,11 +61,13 @@ def _meeting(h, k, rho):
 
 
 @kernel
-def pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
-    """White share at cell coordinates X, Y in or next to cell (i, j), edges sx, sy (cells) wide; and d/dX, d/dY, d/d ln(width).
+def pattern(cells, i, j, X, Y, meeting, tables):
+    """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting with Tables.
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
     """
+    sx, sy, rho = meeting
+    table_x, table_y = tables
     last = cells.shape[0] - 1
     hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
     Pa, pa = edge(table_x, hl)
@@ -71,12 +98,14 @@ def pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
                 w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
                 if w != 0 and abs(h) < MEETING and abs(k) < MEETING:
                     s += w * _meeting(h, k, rho)
-    return s, gx, gy, gb
+    return Share(s, gx, gy, gb)
 
 
 @kernel
-def wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
+def wide_pattern(cells, i, j, X, Y, meeting, tables):
     """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
+    sx, sy, rho = meeting
+    table_x, table_y = tables
     last = cells.shape[0] - 1
     h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)
     k = ((Y - j + 1) / sy, (Y - j) / sy, (Y - j - 1) / sy, (Y - j - 2) / sy)
@@ -109,4 +138,4 @@ def wide_pattern(cells, i, j, X, Y, sx, sy, rho, table_x, table_y):
                 w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
                 if w != 0 and abs(h[u]) < MEETING and abs(k[v]) < MEETING:
                     s += w * _meeting(h[u], k[v], rho)
-    return s, gx, gy, gb
+    return Share(s, gx, gy, gb)

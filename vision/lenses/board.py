@@ -152,10 +152,10 @@ def _straight(camera):
     K, D = camera.matrix, camera.distortion
     focal, centre = np.diag(K)[:2], K[:2, 2]
     if not np.any(D):
-        return (lambda uv: uv), (lambda xy: (xy, np.eye(2)))
+        return junction.Straight(lambda uv: uv, lambda xy: (xy, np.eye(2)))
 
     def back(xy):
         uv, J, _ = lens.project_jacobian(np.append((xy - centre) / focal, 1.0), K, D)
         return uv, J[:, :2] / focal
 
-    return (lambda uv: lens.undistort(uv, K, D) * focal + centre), back
+    return junction.Straight(lambda uv: lens.undistort(uv, K, D) * focal + centre, back)

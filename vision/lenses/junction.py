@@ -7,7 +7,9 @@ coordinates in which the lens is taken out, so that edges are straight.
 Source: bivariate normal, Drezner and Wesolowsky 1990; corner accuracy from edges, Rohr 1992.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -23,7 +25,13 @@ LEAST_CONTRAST = 8.0  # times the noise
 MISFIT = 0.12  # of the contrast
 DOUBTED = 0.3  # share of pixels that count less
 WANDER = 0.15  # of a square
+LEAST_WANDER = 1.5  # px
+STEEPEST = 0.2  # sine of the angle between both edges in the image
+FINEST = 0.3  # grey levels; a robust scale below this is rounding
+FAINTEST = 1.0  # grey levels that white must be brighter than black
 FIRST_BLUR, LEAST_BLUR, MOST_BLUR = 1.0, 0.3, 5.0  # px
+STEP_PX, STEP_RAD, STEP_BLUR = 2.0, 0.1, 0.4  # px, rad, px: what one step changes at most
+PLACE = 5  # unknowns of the crossing itself; those after it are of the light
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -38,8 +46,17 @@ class Junction:
     contrast: float
 
 
-def share(h, k, rho):
-    """White share of a crossing, white where h and k have the same sign, and its slopes by h, k and rho.
+class Share(NamedTuple):
+    """White share (n,) of a crossing and its slopes (n,) by h, k and rho."""
+
+    white: np.ndarray
+    by_h: np.ndarray
+    by_k: np.ndarray
+    by_rho: np.ndarray
+
+
+def share(h: np.ndarray, k: np.ndarray, rho: float) -> Share:
+    """White share of a crossing, white where h and k have the same sign.
 
     h, k : (n,) distances to the edges in blur widths; rho : correlation, the cosine between the edges' normals
     """
@@ -52,92 +69,154 @@ def share(h, k, rho):
     H, K = ndtr(h), ndtr(k)
     dh = np.exp(-h * h / 2) / np.sqrt(2 * np.pi) * (2 * ndtr((k - rho * h) / s) - 1)
     dk = np.exp(-k * k / 2) / np.sqrt(2 * np.pi) * (2 * ndtr((h - rho * k) / s) - 1)
-    return H * K + (1 - H) * (1 - K) + 2 * both, dh, dk, 2 * density
+    return Share(H * K + (1 - H) * (1 - K) + 2 * both, dh, dk, 2 * density)
 
 
-def fit(image, guess, axes, white, straight, reach):
+class Straight(NamedTuple):
+    """A lens taken out and put back.
+
+    ideal : function of pixels (n, 2) to coordinates (n, 2) px in which straight edges are straight
+    pixel : function of one of these (2,) to its pixel (2,) and the Jacobian (2, 2) of that
+    """
+
+    ideal: Callable[[np.ndarray], np.ndarray]
+    pixel: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class _Pixels(NamedTuple):
+    """The pixels around a crossing: ideal (n, 2) px, the lens taken out; board (n, 2) squares from the guess; grey (n,); white as in `fit`."""
+
+    ideal: np.ndarray
+    board: np.ndarray
+    grey: np.ndarray
+    white: bool
+
+
+class _Extent(NamedTuple):
+    """size : px, a square's mean side in the image; clear : (2,) px beside the x line and the y line that no other edge comes into."""
+
+    size: float
+    clear: np.ndarray
+
+
+class _Linear(NamedTuple):
+    """residual (n,) grey levels and Jacobian (n, 11) at a crossing p and light (6,) as they were guessed where there were none."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    light: np.ndarray
+
+
+class _Settled(NamedTuple):
+    """p : (5,) crossing px, directions of the board's x and y rad, blur px; light : (6,); information : (11, 11); weight, residual : (n,)
+    scatter : grey levels, robust."""
+
+    p: np.ndarray
+    light: np.ndarray
+    information: np.ndarray
+    weight: np.ndarray
+    residual: np.ndarray
+    scatter: float
+
+
+def fit(image: np.ndarray, guess: np.ndarray, axes: np.ndarray, white: bool, straight: Straight, reach: float) -> Junction | str:
     """Junction, or the reason (text) why there is none.
 
     image : (height, width) float; guess : (2,) px; axes : (2, 2) px per square, columns the board's x and y in the image
-    white : whether the quadrant between both axes is white; straight : function of pixels (n, 2) to coordinates (n, 2) px in
-    which the lens is taken out, and of these back to pixels with a Jacobian; reach : of a square, what is clear beside an edge
+    white : whether the quadrant between both axes is white; straight : Straight; reach : of a square, what is clear beside an edge
     """
-    to_straight, to_pixels = straight
     corners = guess + ALONG * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) @ axes.T
     low, high = np.floor(corners.min(axis=0) - 2).astype(int), np.ceil(corners.max(axis=0) + 2).astype(int)
     if (low < 0).any() or high[0] >= image.shape[1] or high[1] >= image.shape[0]:
         return "too near the image's edge"
     x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
-    board = (pixels - guess) @ np.linalg.inv(axes).T
-    grey, points = image[y, x].ravel(), to_straight(pixels)
-    origin, ends = to_straight(guess[None])[0], to_straight(guess + 0.2 * axes.T)
+    places = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
+    pixels = _Pixels(straight.ideal(places), (places - guess) @ np.linalg.inv(axes).T, image[y, x].ravel(), white)
+    origin, ends = straight.ideal(guess[None])[0], straight.ideal(guess + 0.2 * axes.T)
     angles = np.arctan2(*(ends - origin).T[::-1])
     sizes, sine = np.linalg.norm(axes, axis=0), abs(np.sin(angles[1] - angles[0]))
-    if sine < 0.2:
+    if sine < STEEPEST:
         return "seen too obliquely"
     # board x's line is the edge at which y changes sign: its normal is that of the x direction
-    p = np.array([*origin, *angles, FIRST_BLUR])
-    clear = reach * sizes[::-1] * sine  # px beside the x line and the y line
+    settled = _settle(pixels, np.array([*origin, *angles, FIRST_BLUR]), _Extent(sizes.mean(), reach * sizes[::-1] * sine))
+    if isinstance(settled, str):
+        return settled
+    uv, back = straight.pixel(settled.p[:2])
+    far = np.linalg.norm(np.linalg.solve(axes, uv - guess)) > max(WANDER, LEAST_WANDER / sizes.min())
+    return _judged(settled, uv, back, far)
+
+
+def _settle(pixels: _Pixels, p: np.ndarray, extent: _Extent) -> _Settled | str:
+    """Robust Gauss-Newton from p (5,) on; or the reason why it does not settle."""
     light, scatter = None, np.inf
     for iteration in range(ITERATIONS):
-        d = points - p[:2]
-        c, s = np.cos(p[2:4]), np.sin(p[2:4])
-        across = d[:, 1:] * c - d[:, :1] * s  # (n, 2) px from the x line and from the y line
-        along = d[:, :1] * c + d[:, 1:] * s
-        strip = np.minimum(STRIP * p[4], clear - 2.5 * p[4])
-        if (strip < 1.5 * p[4]).any():
-            return "too small"
-        use = (np.abs(across) < strip).any(axis=1) & (np.abs(board) < ALONG).all(axis=1)
-        if use.sum() < LEAST_PIXELS:
-            return "too few pixels"
-        # the y line's sign is turned so that both are positive in the quadrant between the axes
-        turn = np.array([1.0, -1.0]) * np.sign(np.sin(p[3] - p[2]))
-        h, k = (turn * across[use] / p[4]).T
-        rho = turn[0] * turn[1] * np.cos(p[3] - p[2])
-        w, dh, dk, dr = share(h, k, rho)
-        if not white:
-            w, dh, dk, dr = 1 - w, -dh, -dk, -dr
-        near = d[use] / sizes.mean()
-        planes = np.stack([w, w * near[:, 0], w * near[:, 1], 1 - w, (1 - w) * near[:, 0], (1 - w) * near[:, 1]], axis=1)
-        if light is None:
-            light = np.linalg.lstsq(planes, grey[use], rcond=None)[0]
-        r = grey[use] - planes @ light
-        amplitude = light[0] - light[3] + near @ (light[1:3] - light[4:6])
-        if light[0] - light[3] < 1:
-            return "white is no brighter than black"
-        n1, n2 = turn[0] * np.array([-s[0], c[0]]) / p[4], turn[1] * np.array([-s[1], c[1]]) / p[4]
-        J = np.empty((len(r), 11))
-        J[:, :2] = -(dh[:, None] * n1 + dk[:, None] * n2)
-        J[:, 2] = -dh * turn[0] * along[use, 0] / p[4] + dr * turn[0] * turn[1] * np.sin(p[3] - p[2])
-        J[:, 3] = -dk * turn[1] * along[use, 1] / p[4] - dr * turn[0] * turn[1] * np.sin(p[3] - p[2])
-        J[:, 4] = -(dh * h + dk * k) / p[4]
-        J[:, :5] *= amplitude[:, None]
-        J[:, 5:] = planes
+        linear = _linearise(pixels, p, light, extent)
+        if isinstance(linear, str):
+            return linear
+        r, J, light = linear
         if iteration < SETTLING:  # afterwards it stands, so that the weights can settle too
-            scatter = max(1.4826 * np.median(np.abs(r)), 0.3)
+            scatter = max(1.4826 * np.median(np.abs(r)), FINEST)
         weight = np.minimum(1, (TRUSTED * scatter / np.maximum(np.abs(r), 1e-9)) ** 2)
         A = J * weight[:, None]
         try:
             step = np.linalg.solve(A.T @ J, A.T @ r)
         except np.linalg.LinAlgError:
             return "not determined"
-        limit = min(1.0, 2.0 / max(np.abs(step[:2]).max(), 1e-9), 0.1 / max(np.abs(step[2:4]).max(), 1e-9), 0.4 / max(abs(step[4]), 1e-9))
-        p += limit * step[:5]
+        limit = min(1.0, STEP_PX / max(np.abs(step[:2]).max(), 1e-9), STEP_RAD / max(np.abs(step[2:4]).max(), 1e-9),
+                    STEP_BLUR / max(abs(step[4]), 1e-9))
+        p = p + limit * step[:PLACE]
         p[4] = np.clip(p[4], LEAST_BLUR, MOST_BLUR)
-        light = light + step[5:]
-        moved = np.abs(step[:2]).max()
-        if moved < SETTLED and iteration > 3:
-            break
-    else:
-        return "the fit did not settle"
-    contrast, noise = light[0] - light[3], np.sqrt((weight * r**2).sum() / max(weight.sum() - 11, 1))
+        light = light + step[PLACE:]
+        if np.abs(step[:2]).max() < SETTLED and iteration > 3:
+            return _Settled(p, light, A.T @ J, weight, r, scatter)
+    return "the fit did not settle"
+
+
+def _linearise(pixels: _Pixels, p: np.ndarray, light: np.ndarray | None, extent: _Extent) -> _Linear | str:
+    """The pixels near both edges of a crossing p (5,), linearised; or the reason why there are too few. light : (6,), or None to guess it."""
+    d = pixels.ideal - p[:2]
+    c, s = np.cos(p[2:4]), np.sin(p[2:4])
+    across = d[:, 1:] * c - d[:, :1] * s  # (n, 2) px from the x line and from the y line
+    along = d[:, :1] * c + d[:, 1:] * s
+    strip = np.minimum(STRIP * p[4], extent.clear - 2.5 * p[4])
+    if (strip < 1.5 * p[4]).any():
+        return "too small"
+    use = (np.abs(across) < strip).any(axis=1) & (np.abs(pixels.board) < ALONG).all(axis=1)
+    if use.sum() < LEAST_PIXELS:
+        return "too few pixels"
+    # the y line's sign is turned so that both are positive in the quadrant between the axes
+    turn = np.array([1.0, -1.0]) * np.sign(np.sin(p[3] - p[2]))
+    h, k = (turn * across[use] / p[4]).T
+    w, dh, dk, dr = share(h, k, turn[0] * turn[1] * np.cos(p[3] - p[2]))
+    if not pixels.white:
+        w, dh, dk, dr = 1 - w, -dh, -dk, -dr
+    grey, near = pixels.grey[use], d[use] / extent.size
+    planes = np.stack([w, w * near[:, 0], w * near[:, 1], 1 - w, (1 - w) * near[:, 0], (1 - w) * near[:, 1]], axis=1)
+    if light is None:
+        light = np.linalg.lstsq(planes, grey, rcond=None)[0]
+    if light[0] - light[3] < FAINTEST:
+        return "white is no brighter than black"
+    amplitude = light[0] - light[3] + near @ (light[1:3] - light[4:6])
+    n1, n2 = turn[0] * np.array([-s[0], c[0]]) / p[4], turn[1] * np.array([-s[1], c[1]]) / p[4]
+    J = np.empty((len(grey), PLACE + 6))
+    J[:, :2] = -(dh[:, None] * n1 + dk[:, None] * n2)
+    J[:, 2] = -dh * turn[0] * along[use, 0] / p[4] + dr * turn[0] * turn[1] * np.sin(p[3] - p[2])
+    J[:, 3] = -dk * turn[1] * along[use, 1] / p[4] - dr * turn[0] * turn[1] * np.sin(p[3] - p[2])
+    J[:, 4] = -(dh * h + dk * k) / p[4]
+    J[:, :PLACE] *= amplitude[:, None]
+    J[:, PLACE:] = planes
+    return _Linear(grey - planes @ light, J, light)
+
+
+def _judged(settled: _Settled, uv: np.ndarray, back: np.ndarray, far: bool) -> Junction | str:
+    """Junction at uv (2,) px, or why it is none. back : (2, 2) px per px without the lens; far : whether it left where it was expected."""
+    weight, r, scatter = settled.weight, settled.residual, settled.scatter
+    contrast, noise = settled.light[0] - settled.light[3], np.sqrt((weight * r**2).sum() / max(weight.sum() - 11, 1))
     if contrast < LEAST_CONTRAST * scatter:
         return f"contrast {contrast:.0f} is lost in noise {scatter:.1f}"
     if noise > MISFIT * contrast or (weight < 1).mean() > DOUBTED:
         return f"covered or no corner of this board: the fit leaves {noise / contrast:.0%} of the contrast"
-    uv, back = to_pixels(p[:2])
-    if np.linalg.norm(np.linalg.solve(axes, uv - guess)) > max(WANDER, 1.5 / sizes.min()):
+    if far:
         return "the fit left the place where it was expected"
-    covariance = np.linalg.inv(A.T @ J)[:2, :2] * noise**2
-    return Junction(uv, back @ covariance @ back.T, float(p[4]), float(noise), float(contrast))
+    covariance = np.linalg.inv(settled.information)[:2, :2] * noise**2
+    return Junction(uv, back @ covariance @ back.T, float(settled.p[4]), float(noise), float(contrast))

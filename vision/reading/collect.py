@@ -10,7 +10,7 @@ from rig.errors import FileError
 from rig.exposures import read_image, refused, undecodable
 from rig.processes import cores, gathered
 from rig.recording import Corners
-from vision.corners.detect import detect, grey, place, search
+from vision.corners.detect import Detection, Read, detect, grey, place, search
 from vision.corners.spread import PLAIN, Spread, empty_profile, learn
 from vision.observations import correlation_of
 from vision.predict import expected
@@ -74,15 +74,15 @@ def _collected(recording, marker_map, progress):
     def searched(k):
         _, camera, name = work[k]
         eight, full = grey(_image(recording, camera, name))
-        return full, *search(eight, marker_map)
+        return full, search(eight, marker_map)
 
     whole = dict(zip(taught, _in_parallel(searched, taught, None)))
-    spread = {camera.name: learn_spread({k: whole[k] for k in taught if work[k][1] is camera}, camera, marker_map) for camera in
+    spread = {camera.name: learn_spread([whole[k] for k in taught if work[k][1] is camera], camera, marker_map) for camera in
               {work[k][1].name: work[k][1] for k in taught}.values()}
 
     def placed(k):
-        full, numbers, guess, left_out = whole[k]
-        return place(full, work[k][1], marker_map, numbers, guess, left_out, spread[work[k][1].name])
+        full, read = whole[k]
+        return place(full, work[k][1], marker_map, read, spread[work[k][1].name])
 
     found.update(zip(taught, _in_parallel(placed, taught, tell)))
     whole.clear()
@@ -141,18 +141,18 @@ def _left_out(rows):
 
 
 def learn_spread(searched, camera, marker_map):
-    """Spread of a camera's edges. searched : {image: (full, identities, corners to a pixel or so, left out)}"""
+    """Spread of a camera's edges. searched : (image (height, width) in 255ths of white, Read from it) each"""
     def first(item):
-        full, numbers, guess, _ = item
-        return full, place(full, camera, marker_map, numbers, guess)
+        full, read = item
+        return full, place(full, camera, marker_map, read)
 
-    seen = [(full, d.marker, d.corners) for full, d in _in_parallel(first, list(searched.values()), None) if len(d.marker)]
+    seen = [(full, d.read) for full, d in _in_parallel(first, searched, None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
         def again(item, spread=spread):
-            full, marker, corners = item
+            full, read = item
             profile = empty_profile()
-            return place(full, camera, marker_map, marker, corners, spread=spread, reach=0.0, profile=profile), profile
+            return place(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
 
         done = _in_parallel(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
@@ -183,7 +183,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     def one(item):
         frame, camera, name, numbers, places = item
         _, full = grey(read_image(recording.folder / name))
-        return place(full, camera, marker_map, numbers, places, spread=collected.spread.get(camera.name, PLAIN), verify=True)
+        return place(full, camera, marker_map, Read(numbers, places), collected.spread.get(camera.name, PLAIN), verify=True)
 
     found = []
     for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):

@@ -99,9 +99,9 @@ class Live:
         for camera in self.cameras:
             own = {frame: grey(image)[1] for frame, name, image in self._first if name == camera.name}
             seen = {frame: detection for frame, name, detection in self._rows if name == camera.name and frame in own}
-            spread = learn_spread({f: (own[f], d.marker, d.corners, d.left_out) for f, d in seen.items()}, camera, self.markers)
+            spread = learn_spread([(own[f], d.read) for f, d in seen.items()], camera, self.markers)
             self._spread[camera.name] = spread
-            again.update({(f, camera.name): place(own[f], camera, self.markers, d.marker, d.corners, d.left_out, spread) for f, d in seen.items()})
+            again.update({(f, camera.name): place(own[f], camera, self.markers, d.read, spread) for f, d in seen.items()})
         self._rows = [(frame, name, again.get((frame, name), detection)) for frame, name, detection in self._rows]
         self._first = []
 

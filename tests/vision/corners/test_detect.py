@@ -11,7 +11,7 @@ from rig.design import DICTIONARIES, Marker, Target
 from rig.pose import pose
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision import lens
-from vision.corners.detect import detect, place
+from vision.corners.detect import Read, detect, place
 from vision.predict import expected
 from vision.targets import marker_map
 
@@ -30,7 +30,7 @@ def test_noise_free_corners_are_exact(design):
     markers, errors, outward = sheet(design), [], []
     for k in range(24):
         corners = quad(rng, side=rng.uniform(40, 70), tilt=rng.uniform(0, 1.1))
-        found = place(picture(corners, NAME, k).astype(np.float32), camera(), markers, [k], (corners + rng.normal(0, 0.5, (4, 2)))[None])
+        found = place(picture(corners, NAME, k).astype(np.float32), camera(), markers, Read([k], (corners + rng.normal(0, 0.5, (4, 2)))[None]))
         error = found.corners[0] - corners
         spoke = corners - corners.mean(axis=0)
         errors.append(error)
@@ -47,7 +47,7 @@ def test_covariance_is_the_scatter(design):
         clean = picture(corners, NAME, k)
         for _ in range(60):
             noisy = (clean + rng.normal(0, 2.5, clean.shape)).astype(np.float32)
-            found = place(noisy, camera(), markers, [k], corners[None])
+            found = place(noisy, camera(), markers, Read([k], corners[None]))
             e = (found.corners[0] - corners).ravel()
             chi2.append(e @ np.linalg.solve(found.covariance[0], e))
             assert found.noise[0] == pytest.approx(2.5, rel=0.15)
@@ -63,9 +63,9 @@ def test_edges_bend_with_the_lens(design):
     ideal = lens.undistort(grid, bent.matrix, bent.distortion) * 900 + SIZE / 2
     image = map_coordinates(flat, [ideal[..., 1], ideal[..., 0]], order=3, mode="nearest").astype(np.float32)  # cv2.remap rounds to 1/32 px
     expected = lens.project(np.concatenate([(corners - SIZE / 2) / 900, np.ones((4, 1))], axis=1), bent.matrix, bent.distortion)
-    found = place(image, bent, sheet(design), [3], expected[None])
+    found = place(image, bent, sheet(design), Read([3], expected[None]))
     np.testing.assert_allclose(found.corners[0], expected, atol=0.006)
-    straight = place(image, camera(), sheet(design), [3], expected[None])
+    straight = place(image, camera(), sheet(design), Read([3], expected[None]))
     assert np.abs(straight.corners[0] - expected).max() > 0.03  # what ignoring the lens would cost
 
 
@@ -85,10 +85,10 @@ def test_what_covers_a_marker_does_not_pull_it(design):
     image = picture(corners, NAME, 5).astype(np.float32)
     middle = (corners[1] + corners[2]) / 2
     cv2.circle(image, tuple(int(v) for v in middle), 7, 140.0, -1)
-    found = place(image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32), camera(), sheet(design), [5], corners[None])
+    found = place(image + np.random.default_rng(0).normal(0, 1, image.shape).astype(np.float32), camera(), sheet(design), Read([5], corners[None]))
     np.testing.assert_allclose(found.corners[0], corners, atol=0.06)
     image[:, : SIZE // 2] = 100
-    gone = place(image, camera(), sheet(design), [5], corners[None])
+    gone = place(image, camera(), sheet(design), Read([5], corners[None]))
     assert not len(gone.marker) and gone.left_out[0][0] == 5
 
 
@@ -101,19 +101,19 @@ def test_what_is_no_marker_gets_a_reason(design, spoil, says):
     import re
 
     corners = quad(np.random.default_rng(5))
-    found = place(spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), [1], corners[None])
+    found = place(spoil(picture(corners, NAME, 1)).astype(np.float32), camera(), sheet(design), Read([1], corners[None]))
     assert not len(found.marker) and re.search(says, found.left_out[0][1]), found.left_out
 
 
 def test_another_marker_is_not_taken_for_it(design):
     corners = quad(np.random.default_rng(6))
-    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), [2], corners[None])
+    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([2], corners[None]))
     assert not len(found.marker)
 
 
 def test_a_marker_too_small_is_left_out_with_its_size(design):
     corners = quad(np.random.default_rng(7), side=14)
-    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), [1], corners[None])
+    found = place(picture(corners, NAME, 1).astype(np.float32), camera(), sheet(design), Read([1], corners[None]))
     assert not len(found.marker) and "too small" in found.left_out[0][1]
 
 
@@ -276,7 +276,7 @@ def test_wide_edges_of_small_cells_see_beyond_the_next_cell(design):
     rng, markers, errors = np.random.default_rng(15), sheet(design), []
     for k in range(8):
         corners = quad(rng, side=25, tilt=0.4)
-        found = place(picture(corners, NAME, k, blur=1.5).astype(np.float32), camera(), markers, [k], corners[None])
+        found = place(picture(corners, NAME, k, blur=1.5).astype(np.float32), camera(), markers, Read([k], corners[None]))
         errors += list(found.corners - corners)
     assert len(errors) >= 6 and np.sqrt(np.mean(np.square(errors))) < 0.01
 
@@ -287,7 +287,7 @@ def test_what_is_no_noise_is_in_the_covariance(design):
     for k in range(24):
         corners = quad(rng, side=rng.uniform(50, 100), tilt=rng.uniform(0, 1.1))
         image = picture(corners, NAME, k, blur=0.8, samples=8, sharp=True) + rng.normal(0, 0.5, (SIZE, SIZE))
-        found = place(image.astype(np.float32), camera(), markers, [k], corners[None])
+        found = place(image.astype(np.float32), camera(), markers, Read([k], corners[None]))
         for error, C in zip(found.corners - corners, found.covariance):
             squares += [error[c] @ np.linalg.solve(C[2 * c : 2 * c + 2, 2 * c : 2 * c + 2], error[c]) for c in range(4)]
     assert 0.86 < np.mean(np.array(squares) < 5.991) < 0.995

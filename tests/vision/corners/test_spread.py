@@ -6,7 +6,7 @@ from scipy.special import ndtr
 
 from tests.vision.corners.test_detect import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
-from vision.corners.detect import place
+from vision.corners.detect import Read, place
 from vision.corners.pattern import GRID
 from vision.corners.spread import PLAIN, WIDTHS, empty_profile, learn
 
@@ -40,7 +40,7 @@ def test_what_a_camera_does_to_edges_is_learnt(design):
 
     def fit(spread):
         profile = empty_profile()
-        found = [place(image, camera(), markers, [k], corners[None], spread=spread, profile=profile)
+        found = [place(image, camera(), markers, Read([k], corners[None]), spread=spread, profile=profile)
                  for k, (image, corners) in enumerate(zip(images, truth))]
         error = np.concatenate([f.corners[0] - corners for f, corners in zip(found, truth)])
         return profile, np.median([f.noise[0] for f in found]), np.sqrt(np.mean(error**2)), np.median([f.blur[0] for f in found])
