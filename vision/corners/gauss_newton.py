@@ -78,7 +78,7 @@ def accumulate(pixels, count, cells, square, tables, limit, lit, work):
     """
     points, greys, places = pixels.points, pixels.greys, pixels.places
     g, s, slope, light = square.g, square.width, square.slope, square.light
-    H, rows, sizes = work.H, work.rows, work.sizes
+    H, rows, sizes, table_x, table_y = work.H, work.rows, work.sizes, tables.x, tables.y
     H[:] = 0
     weights, doubted, told = 0.0, 0, 0
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
@@ -98,22 +98,22 @@ def accumulate(pixels, count, cells, square, tables, limit, lit, work):
                 ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
                 sx, sy, rho = s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay)
                 if REACH * max(sx, sy) > 1:
-                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), tables)
+                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), table_x, table_y)
                 else:
-                    p, dX, dY, dB = pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), tables)
+                    p, dX, dY, dB = pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), table_x, table_y)
             elif abs(kind) == 1:
                 Xx, Xy = g00 - X * g20, g01 - X * g21
                 Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
                 across = kind / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
                 h = (X - i) * across
-                p, e = edge(tables.x, h)
+                p, e = edge(table_x, h)
                 dX, dB = e * across, -e * h
             else:
                 Yx, Yy = g10 - Y * g20, g11 - Y * g21
                 Yu, Yv = Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 across = 0.5 * kind / (s * w * math.sqrt(Yu * Yu + Yv * Yv))
                 h = (Y - j) * across
-                p, e = edge(tables.y, h)
+                p, e = edge(table_y, h)
                 dY, dB = e * across, -e * h
             white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
             q, root = 1 - p, 1.0

@@ -61,13 +61,12 @@ def _meeting(h, k, rho):
 
 
 @kernel
-def pattern(cells, i, j, X, Y, meeting, tables):
-    """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting with Tables.
+def pattern(cells, i, j, X, Y, meeting, table_x, table_y):
+    """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting, with their spread functions.
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
     """
     sx, sy, rho = meeting
-    table_x, table_y = tables
     last = cells.shape[0] - 1
     hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
     Pa, pa = edge(table_x, hl)
@@ -102,10 +101,9 @@ def pattern(cells, i, j, X, Y, meeting, tables):
 
 
 @kernel
-def wide_pattern(cells, i, j, X, Y, meeting, tables):
+def wide_pattern(cells, i, j, X, Y, meeting, table_x, table_y):
     """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
     sx, sy, rho = meeting
-    table_x, table_y = tables
     last = cells.shape[0] - 1
     h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)
     k = ((Y - j + 1) / sy, (Y - j) / sy, (Y - j - 1) / sy, (Y - j - 2) / sy)
