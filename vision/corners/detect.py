@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vision.corners import edges, gauss_newton, local_lens, sides, square
-from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN, Spread
+from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN
 from vision.predict import expected
 from vision.targets import marker_cells
 
