@@ -10,7 +10,7 @@ from rig.errors import FileError
 from rig.exposures import read_image, refused, undecodable
 from rig.processes import cores, gathered
 from rig.recording import Corners
-from vision.corners.detect import Detection, Read, detect, grey, place, search
+from vision.corners.detect import Read, detect, grey, place, search
 from vision.corners.spread import PLAIN, Spread, empty_profile, learn
 from vision.observations import correlation_of
 from vision.predict import expected
