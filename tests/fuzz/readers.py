@@ -146,7 +146,8 @@ def _foreign(folder, design):
 
     def names(path):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
-        found = [frames._picture(Path("in") / line.replace("\0", "0").lstrip("/")[:255], Path("in"), {"cam0": "cam0", "cam1": "cam1"}, None, ["cam0", "cam1"])
+        cameras = ["cam0", "cam1"]
+        found = [frames._picture(Path("in") / line.replace("\0", "0").lstrip("/")[:255], Path("in"), {name: name for name in cameras}, None, cameras)
                  for line in lines if line.strip("/. ")]
         return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
 
