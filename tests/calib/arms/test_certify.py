@@ -153,7 +153,7 @@ def test_a_recording_through_the_commands(base, tool, alone, tmp_path, capsys):
 def test_an_instrument_that_is_not_where_it_says_is_an_error(tmp_path, capsys):
     rng = np.random.default_rng(6)
     worlds.write(tmp_path / "rec", UR10, worlds.tracked(worlds.secret(UR10, rng), UR10, 60, rng), "rig", "free")
-    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
+    assert cli.main(["calibrate", str(tmp_path / "rec"), "--anyway", "--out", str(tmp_path / "c.json")]) == 1
     refused = capsys.readouterr().err
     assert "no place of the tool fits" in refused and 'is [instrument] base unknown as well ("free")?' in refused
     assert not (tmp_path / "c.json").exists()
