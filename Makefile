@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files test test-slow test-bounds fuzz bench clean
+.PHONY: setup demo demo-files test test-slow test-bounds fuzz fuzz-wire bench clean
 
 setup: .venv/.ready
 
@@ -24,6 +24,10 @@ test-slow: setup
 fuzz: setup
 	$(BIN)/python -m pip install -q atheris
 	$(BIN)/python -m tests.fuzz.campaign 1000000 out/fuzz
+
+fuzz-wire: setup
+	$(BIN)/python -m pip install -q atheris
+	for parser in grblhal gcs linuxcnc struts requests; do $(BIN)/python -m tests.rig.guided $$parser 1000000 || exit 1; done
 
 test-bounds: setup
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=out/numba-bounds $(BIN)/python -m pytest -q -p no:cacheprovider -n auto tests/calib tests/vision tests/rig

@@ -9,12 +9,14 @@ from typing import TextIO, TypeVar
 import numpy as np
 
 from rig import mechanisms, path_check, protocols
+from rig.advice import CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.clock import Clock, SystemClock
 from rig.design import Design
-from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled
+from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
 from rig.link import Link, Port
 from rig.port import SerialPort, found
 from rig.protocols.base import Dialogue, Segment, State, Verdict
+from rig.straight import straight
 
 T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
@@ -82,8 +84,16 @@ class Driver:
         self._say(self.link.run(self._protocol.hello()))
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
-        self._known = bool(state.homed) or not (self.controller.homing or mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any())
+        within = not mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any()
+        self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
         return self._status(state)
+
+    def open_stopping(self) -> Status:
+        """Connect and stop the struts before anything is asked: a controller that homes may answer nothing. Raises as `open` does."""
+        self.link.connect(0.0)
+        self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
+        self._say(self.link.run(self._protocol.hello()))
+        return self._status(self._state())
 
     def close(self) -> None:
         """Let go of the port."""
@@ -100,7 +110,10 @@ class Driver:
     def trust(self) -> None:
         """The operator says that the lengths read back are true: after a start without homing, or after PositionLost."""
         self._asked(self._protocol.hello)
-        self._left = path_check.check_lengths(self.lengths(), self.mechanism)
+        try:
+            self._left = path_check.check_lengths(self.lengths(), self.mechanism)
+        except Unreachable as error:
+            raise Unreachable("what the controller reads cannot be believed", error.index, [str(error), OUT_OF_RANGE]) from None
         self._known, self._homed = True, None
 
     def unlock(self) -> Status:
@@ -111,6 +124,8 @@ class Driver:
 
     def home(self) -> Status:
         """Home every axis and wait. Raises ControllerFault with the controller's reason, MotionError where it is not at home then."""
+        if not self.controller.homing:
+            raise ControllerFault(CANNOT_HOME)
         with self._busy, self._guarded():
             self._asked(self._protocol.hello)
             self._known = False
@@ -144,7 +159,7 @@ class Driver:
             self.check(target, start)
             begun = self.clock.now()
             with self._guarded():
-                note = self._go(self._segment(start, target, share), start, target)
+                note = self._go(straight(start, target, share, self.controller, self.mechanism), start, target)
                 self._left = arrived = self.lengths()
             return Arrival(arrived, begun, self.clock.now(), note)
 
@@ -162,26 +177,16 @@ class Driver:
         self._same()
         state = self._state()
         if state.activity != "idle" or state.fault:
-            raise ControllerFault(f"not ready to move: {state.fault or state.activity} ({state.said})")
+            raise ControllerFault(f"not ready to move: {self._trouble(state)}")
         if self._homed and state.homed is False:
             self._known = False
         if not self._known:
-            raise PositionLost("where the struts stand is not known; home, or say that the position is to be trusted")
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
         lengths = self._lengths(state)
         if self._left is not None and np.abs(lengths - self._left).max() > self.controller.tolerance:
             self._known = False
-            raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m")
+            raise PositionLost(f"the struts read {lengths.round(6).tolist()} m, they were left at {self._left.round(6).tolist()} m; {TRUST}")
         return lengths
-
-    def _segment(self, start: np.ndarray, target: np.ndarray, share: float) -> Segment:
-        c, way = self.controller, np.abs(target - start)
-        duration = max(float((way / (share * c.max_speed)).max()), 1e-6)
-        speed = way / duration
-        acceleration = None
-        if c.max_acceleration is not None and way.any():
-            acceleration = way * (c.max_acceleration[way > 0] / way[way > 0]).min()
-        pose = mechanisms.of(self.mechanism).forward(target, self.mechanism) if c.kinematics == "world" else None
-        return Segment(start - c.zero, target - c.zero, duration, speed, acceleration, pose)
 
     def _go(self, segment: Segment, start: np.ndarray, target: np.ndarray) -> str:
         """Send a move and watch it; a move that the read-back shows was never begun is sent again. Returns a note."""
@@ -210,7 +215,7 @@ class Driver:
             if any(t >= begun and text == "restarted" for t, text in list(self.link.events)):
                 self._same()
             if state.fault or state.activity in ("alarm", "off", "held", "homing"):
-                raise ControllerFault(f"while moving: {state.fault or state.activity} ({state.said}){self._lately(begun)}")
+                raise ControllerFault(f"while moving: {self._trouble(state)}{self._lately(begun)}")
             if state.activity == "idle" and off <= self.controller.tolerance and (off <= STANDING or before - off <= STANDING):
                 return True
             before = off
@@ -232,7 +237,7 @@ class Driver:
         """Have all that was sent dealt with. Raises PositionLost where the controller has started anew."""
         if not self._asked(self._protocol.fence):
             self._known = False
-            raise PositionLost("the controller has started anew since it was last spoken to; home, or say that its position is to be trusted")
+            raise PositionLost(f"the controller has started anew since it was last spoken to; {TRUST}")
 
     def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
         """What a dialogue that moves nothing comes to, connecting anew where the connection is lost."""
@@ -245,7 +250,7 @@ class Driver:
         self._say(f"connected anew: {self.link.run(self._protocol.hello(), stoppable)}")
         if not same:
             self._known = False
-            raise PositionLost("the connection was lost and the controller has started anew; home, or say that its position is to be trusted")
+            raise PositionLost(f"the connection was lost and the controller has started anew; {TRUST}")
         return self.link.run(question(), stoppable)
 
     @contextmanager
@@ -264,11 +269,15 @@ class Driver:
 
     def _halt(self) -> None:
         """Stop the struts, and note where they stand."""
-        self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE)
+        self._told_to_stop(self._asked(self._protocol.stop, stoppable=False, patience=SHORT_PATIENCE))
         state = self._state(stoppable=False)
         self._left = self._lengths(state)
         if state.activity == "alarm":
             self._known = False
+
+    def _told_to_stop(self, verdict: Verdict) -> None:
+        if verdict.accepted is None:
+            raise ControllerFault(f"the struts may still move: {verdict.reason}")
 
     def _accepted(self, verdict: Verdict, what: str) -> None:
         if not verdict.accepted:
@@ -282,6 +291,9 @@ class Driver:
 
     def _status(self, state: State) -> Status:
         return Status(state.activity, self._lengths(state), self._known, state.fault, state.said)
+
+    def _trouble(self, state: State) -> str:
+        return f"{state.fault or state.activity} ({state.said}){advice(state.activity, self.controller.homing)}"
 
     def _lately(self, since: float) -> str:
         return "".join(f"; {text}" for t, text in self.link.events if t >= since)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from rig import mechanisms
+from rig.advice import OUT_OF_RANGE
 from rig.design import Hexapod, Planar2
 from rig.errors import NotConverged, Unreachable
 
@@ -41,7 +42,8 @@ def check_path(start: np.ndarray, target: np.ndarray, mechanism: Hexapod | Plana
         poses = module.forward(way, mechanism)
     except NotConverged as error:
         k = int(np.min(error.index))
-        raise Unreachable("not moved: the way leaves the workspace", [k], [f"{share[k]:.0%} along: {error}"]) from None
+        where = [f"{share[k]:.0%} along: {error}", *([OUT_OF_RANGE] if k == 0 else [])]
+        raise Unreachable("not moved: the way leaves the workspace", [k], where) from None
     least = _dexterity(module, poses, mechanism) / _dexterity(module, home, mechanism)
     if least.min() < margin:
         k = int(np.argmin(least))

@@ -24,8 +24,9 @@ def design_of(path: Path, port: str | None) -> Design:
 
 
 @contextmanager
-def driving(design: Design, trace: Path | None, say, clock: Clock | None = None) -> Iterator[Driver]:
-    """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text"""
+def driving(design: Design, trace: Path | None, say, clock: Clock | None = None, stopping: bool = False) -> Iterator[Driver]:
+    """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
+    stopping : the struts are stopped before anything is asked of the controller"""
     c = design.controller
     with ExitStack() as stack:
         stack.enter_context(Occupied(c.usb or c.port))
@@ -35,7 +36,10 @@ def driving(design: Design, trace: Path | None, say, clock: Clock | None = None)
                 file = stack.enter_context(open(trace, "a", encoding="utf-8"))
             except OSError as error:
                 raise FileError(trace, f"cannot be written: {error.strerror}") from None
-        yield stack.enter_context(Driver(design, clock or SystemClock(), trace=file, say=say))
+        driver = Driver(design, clock or SystemClock(), trace=file, say=say)
+        stack.callback(driver.close)
+        driver.open_stopping() if stopping else driver.open()
+        yield driver
 
 
 def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
@@ -61,10 +65,15 @@ def lengths_text(lengths: np.ndarray) -> str:
 def print_status(status: Status, design: Design) -> None:
     """A Status in words, with the pose that the lengths give by the owner's model."""
     from rig import mechanisms
+    from rig.advice import advice
     from rig.errors import NotConverged
     from rig.pose import vector
 
-    print(f"{status.activity}{'' if status.known else ', position not known: home'}{f', {status.fault}' if status.fault else ''}")
+    homing = design.controller.homing
+    fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
+    print(f"{status.activity}{fault}{advice(status.activity, homing)}")
+    if not status.known:
+        print("position not known: " + ("home it" if homing else "see that it is true, then say --trust"))
     print(f"lengths {lengths_text(status.lengths)}")
     if design.mechanism.kind == "hexapod" and status.known:
         try:

@@ -19,6 +19,7 @@ def arguments(parser):
     where.add_argument("--by", type=float, metavar="MM", help="longer by so much")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
     parser.add_argument("--speed", type=float, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
+    parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first; its position is then believed with --trust only")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
 
 
@@ -38,6 +39,8 @@ def run(arguments):
     if arguments.to and arguments.strut:
         raise RigError("--to states every strut's length; leave out --strut")
     with driving(design, arguments.trace, print) as driver:
+        if arguments.unlock:
+            driver.unlock()
         if arguments.trust:
             driver.trust()
         if not driver.status().known:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, add_driving
-from rig.errors import RigError
+from rig.advice import TRUST
+from rig.errors import PositionLost, RigError
 from rig.files import write_bytes
 
 if TYPE_CHECKING:
@@ -156,8 +157,11 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         status = settled_status(driver, clock)
         if arguments.no_home and not status.known:
             driver.trust()
-        homes = fresh or not (status.known or arguments.no_home)
-        if homes and not (fresh and arguments.no_home):
+        believed = status.known or arguments.no_home
+        homes = design.controller.homing and not (arguments.no_home if fresh else believed)
+        if not homes and not believed:
+            raise PositionLost(f"where the struts stand is not known; {TRUST}")
+        if homes:
             print("homing")
             status = driver.home()
         check(planned, status.lengths, check_move(design))

@@ -20,5 +20,5 @@ def run(arguments):
     other = interrupt(design.controller.usb or design.controller.port, SystemClock(), PATIENCE)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")
-    with driving(design, arguments.trace, print) as driver:
-        print_status(driver.stop(), design)
+    with driving(design, arguments.trace, print, stopping=True) as driver:
+        print_status(driver.status(), design)

@@ -46,7 +46,9 @@ class GrblHAL(Emulator):
     def at_once(self, byte: int) -> bool:
         if byte not in ON_REQUEST:
             return byte >= 0x80
-        if byte in (ord("?"), 0x80, 0x87):
+        if byte in (ord("?"), ord("!"), 0x80, 0x87) and not self.alarm and self.machine.homing(self.now):
+            pass  # while it homes it reports nothing ($10), and only a reset stops it
+        elif byte in (ord("?"), 0x80, 0x87):
             self.say(self._report(byte == 0x87))
         elif byte == ord("!") and (self.machine.moving(self.now) or not self.alarm):
             self.machine.halt(self.now)

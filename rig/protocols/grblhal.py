@@ -17,7 +17,9 @@ INCH = 25.4  # mm
 LINE = 78  # characters that every Grbl takes in a line
 BUFFER = 64  # bytes of the receive buffer, where the controller does not say
 REPORTS = 12  # within which a controller says whether it is homed, if it ever does
+STANDS, AGAIN = 60.0, 0.1  # s in which a move that another process began may end; s between looks
 HOLD = 10.0  # s that a feed hold may take
+ASKED = (0.5, 2)  # s, times: a status report in order to stop; a controller that homes gives none and heeds no hold
 READY = "G21G90G94F100"
 _STATUS = re.compile(r"<([A-Za-z]+(?::\d+)?)((?:\|[^<>|]*)*)>")
 _NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
@@ -27,7 +29,9 @@ _BANNER = re.compile(r"Grbl(HAL)? \d+\.\d+", re.IGNORECASE)
 _ACTIVITY = {"Idle": "idle", "Run": "moving", "Jog": "moving", "Home": "homing", "Hold": "held", "Tool": "held", "Door": "held",
              "Alarm": "alarm", "Check": "off", "Sleep": "off"}
 _PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
-ERRORS = {5: "homing is not enabled ($22)", 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 15: "beyond the soft limits",
+_SLOWING = {"Run", "Jog", "Hold:1", "Door:2", "Door:3"}  # a reset then is an alarm, and the position is lost
+_HOMING_OFF = "homing is not enabled there: set $22=1, or state homing = false in [controller] where there are no switches"
+ERRORS = {5: _HOMING_OFF, 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 15: "beyond the soft limits",
           11: "line too long", 14: "line too long", 18: "no homing cycles are set", 79: "not while an alarm is critical"}
 ALARMS = {1: "a limit switch was hit, position lost", 2: "beyond the soft limits", 3: "reset while moving, position lost", 6: "homing was reset",
           7: "door opened while homing", 8: "homing could not leave the switch", 9: "homing found no switch", 10: "emergency stop",
@@ -48,6 +52,7 @@ class GrblHAL:
         self._offset: np.ndarray | None = None  # mm, WCO
         self._homed: bool | None = None
         self._whole_report = b"?"
+        self._homing = False
 
     def hello(self) -> Dialogue[str]:
         yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
@@ -60,9 +65,12 @@ class GrblHAL:
                 self._letters = match[2]
         missing = [axis for axis in self.axes if axis not in self._letters]
         if missing:
-            raise ControllerFault(f"the controller has the axes {self._letters}, not {''.join(missing)}")
-        settings = yield from _told(b"$$\n")
+            raise ControllerFault(f"the controller has the axes {self._letters}, not {''.join(missing)}: [controller] axes names one for each strut "
+                                  "in their order, and the firmware must be built with so many")
+        settings = yield from _told(b"$$\n", patience=STANDS)
         self._settings = {int(match[1]): float(match[2]) for line in settings if (match := re.fullmatch(r"\$(\d+)=(-?\d+(?:\.\d+)?)", line))}
+        if self._turning() and int(self._settings.get(680, 0)) & 1:
+            raise ControllerFault(f"the controller takes {self._turning()} for rotary axes whose feed is that of the others ($376, $680): set $376=0")
         ready = yield from _told(READY.encode() + b"\n", locked=True)
         self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
         yield from self._learn_homed()
@@ -79,7 +87,7 @@ class GrblHAL:
             state = self._read(lines[-1])
             if state.positions is not None:
                 return state
-        raise NoAnswer("status reports give work positions ($10) and never their offset WCO")
+        raise NoAnswer("status reports give work positions and never their offset WCO: set $10=511 (Grbl 1.1: $10=1) on the controller")
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
         feed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
@@ -98,17 +106,28 @@ class GrblHAL:
         return (yield from _command(line))
 
     def home(self, timeout: float) -> Dialogue[Verdict]:
+        if 22 in self._settings and not int(self._settings[22]) & 1:
+            return Verdict(False, _HOMING_OFF)
+        if left := self._never_homed():
+            return Verdict(False, f"its homing cycles ($44 .. $49) leave out {left}: give each a cycle, and set $376=0 where they are rotary")
+        self._homing = True
         verdict = yield from _command("$H", timeout)
-        self._homed = None
+        if verdict.accepted is None:
+            return Verdict(None, f"not home within {timeout:g} s ([controller] home_timeout)")
+        self._homing, self._homed = False, None
         yield from self._learn_homed()
         return verdict
 
     def stop(self) -> Dialogue[Verdict]:
+        word, self._homing = "Home" if self._homing else "Run", False
         yield Exchange(b"!", lambda lines: False, 0.0)
-        for _ in range(int(HOLD / 0.05)):
-            lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
+        for _ in range(int(HOLD / 0.05) if word != "Home" else 0):
+            try:
+                lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
+            except NoAnswer:
+                break
             word = _STATUS.search(lines[-1])[1]
-            if word != "Hold:1" and word.partition(":")[0] not in ("Run", "Jog"):
+            if word not in _SLOWING:
                 break
             yield Exchange(b"", lambda lines: False, 0.05)
         if word != "Idle":
@@ -136,6 +155,16 @@ class GrblHAL:
             if self._homed is None:
                 yield Exchange(self._whole_report, lambda lines: self._read(lines[-1]) is not None)
 
+    def _turning(self) -> str:
+        """Letters of the struts' axes that the controller takes for rotary ones."""
+        rotary = int(self._settings.get(376, 0)) << 3
+        return "".join(axis for axis in self.axes if rotary >> self._letters.index(axis) & 1)
+
+    def _never_homed(self) -> str:
+        """Letters of the struts' axes that no homing cycle holds; "" where all have one, or the controller states no cycles."""
+        cycles = [int(self._settings[number]) for number in range(44, 50) if number in self._settings]
+        return "".join(axis for axis in self.axes if any(cycles) and not any(cycle >> self._letters.index(axis) & 1 for cycle in cycles))
+
     def _read(self, line: str) -> State | None:
         """State of a status report, positions None while the work offset is not known; None for what is no report."""
         match = _STATUS.search(line)
@@ -156,7 +185,7 @@ class GrblHAL:
         elif word in ("Door", "Tool", "Check", "Sleep"):
             fault = f"it is in the state {match[1]}"
         if "H" in fields:
-            self._homed = fields["H"].startswith("1")
+            self._homed = fields["H"].startswith("1") and not self._never_homed()
         chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
         return State("moving" if match[1] == "Hold:1" else _ACTIVITY[word], chosen, self._homed, fault, match[0])
 
@@ -171,10 +200,17 @@ class GrblHAL:
         return values
 
 
-def _told(data: bytes, locked: bool = False) -> Dialogue[tuple[str, ...]]:
-    """The lines of an answer that ends with ok. Raises ControllerFault for an error; locked : error:9 will do."""
-    lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
-    end = lines[-1].strip()
+def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[tuple[str, ...]]:
+    """The lines of an answer that ends with ok. Raises ControllerFault for an error.
+
+    locked : error:9 will do; patience : s for which it is asked again where the axes still move (error:8), as whoever came before told them
+    """
+    for _ in range(1 + int(patience / AGAIN)):
+        lines = yield from ask(data, lambda lines: _END.fullmatch(lines[-1].strip()) is not None)
+        end = lines[-1].strip()
+        if end != "error:8":
+            break
+        yield Exchange(b"", lambda lines: False, AGAIN)
     if end != "ok" and not (locked and end == "error:9"):
         raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
     return tuple(line.strip() for line in lines)

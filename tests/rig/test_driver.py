@@ -16,6 +16,7 @@ from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, Rig
 from tests.rig.judge import bench, judged
 
 STEP = np.array([1, -1, 1, 0.5, 0.25, -1]) * 1e-3
+SLOW = np.full(6, 2e-4)  # m/s; homing takes ten seconds
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug", "buffer-128")
 STOPPED = {"runs-after-error": ControllerFault, "reset-ignored": ControllerFault, "done-in-error": ControllerFault, "stall": Stalled,
            "restart": (PositionLost, ControllerFault)}
@@ -184,11 +185,61 @@ def test_a_rig_that_was_not_homed_is_not_moved(driven_design, protocol):
 def test_a_rig_without_homing_is_believed_within_its_range(driven_design):
     driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
     assert driver.open().known
-    with pytest.raises(ControllerFault, match="not enabled"):
+    with pytest.raises(ControllerFault, match="homing = false"):
         driver.home()
     driver.trust()
     driver.move(home_lengths(driven_design.mechanism) + STEP)
     assert len(emulator.machine.executed) == 1
+
+
+def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_design):
+    driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
+    emulator.alarm = 3
+    assert not driver.open().known
+    driver.unlock()
+    with pytest.raises(PositionLost, match="--trust"):
+        driver.move(home_lengths(driven_design.mechanism))
+    assert not emulator.machine.executed
+
+
+def test_an_interrupt_stops_a_rig_that_homes(driven_design, protocol, monkeypatch):
+    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW)
+    driver.open()
+    sleep = clock.sleep
+
+    def interrupted(seconds):
+        if emulator.machine.homing(clock.now()):
+            monkeypatch.setattr(clock, "sleep", sleep)
+            raise KeyboardInterrupt
+        sleep(min(seconds, 0.05))
+
+    monkeypatch.setattr(clock, "sleep", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        driver.home()
+    _stands_before_home(driver, emulator, clock, driven_design)
+
+
+def test_a_rig_that_homes_for_another_process_is_stopped(driven_design, protocol):
+    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW)
+    emulator.machine.start_homing(clock.now())
+    clock.sleep(0.01)
+    assert driver.open_stopping().activity != "homing"
+    _stands_before_home(driver, emulator, clock, driven_design)
+
+
+def test_homing_that_takes_too_long_is_stopped(driven_design, protocol):
+    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW, home_timeout=0.5)
+    driver.open()
+    with pytest.raises(ControllerFault, match="0.5 s"):
+        driver.home()
+    _stands_before_home(driver, emulator, clock, driven_design)
+
+
+def _stands_before_home(driver, emulator, clock, design):
+    clock.sleep(10)
+    assert np.abs(truly(emulator, clock) - home_lengths(design.mechanism)).max() > 1e-4
+    status = driver.status()
+    assert not status.known and status.activity in ("idle", "alarm", "off")
 
 
 def test_an_interrupt_from_the_keyboard_stops_the_struts(ready, monkeypatch):
@@ -306,7 +357,11 @@ def test_many_moves_with_every_fault_among_them(driven_design, protocol):
 
 
 @pytest.mark.slow
-def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol):
-    verdicts = judged(driven_design, protocol, ["all:0.05"], 10_000, seed=4, max_speed=np.full(6, 0.1), max_acceleration=np.full(6, 5.0))
-    assert len(verdicts.struck) >= 15 and verdicts.done > 9_000
+@pytest.mark.parametrize("buffer", [[], ["buffer-128"]], ids=["", "buffer-128"])
+def test_ten_thousand_moves_with_faults_at_one_in_twenty(driven_design, protocol, buffer):
+    seldom = {"homes-on:0.05", "stale-alarm:0.3"} if protocol == "grblhal" else {"homes-on:0.05"}  # homing and resets are far fewer than moves
+    verdicts = judged(driven_design, protocol, ["all:0.05", *sorted(seldom), *buffer], 10_000, seed=4, max_speed=np.full(6, 0.1),
+                      max_acceleration=np.full(6, 5.0))
+    never = {*KINDS} - {*verdicts.struck, *ALWAYS}
+    assert never <= ({"stale-alarm"} if protocol == "struts" else set()) and verdicts.done > 9_000, never
     assert (verdicts.twice, verdicts.unacknowledged, verdicts.hangs, verdicts.reasonless, verdicts.unsafe) == (0, 0, 0, 0, 0), verdicts

@@ -48,6 +48,28 @@ def test_a_controller_with_three_axes_is_refused_for_six():
         talk(script, lambda p: p.hello())
 
 
+def settled(*settings):
+    return greeted([*HELLO[:2], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), HELLO[3]])
+
+
+@pytest.mark.parametrize("settings, says", [
+    ([b"$22=0"], "set $22=1, or state homing = false"), ([b"$22=0", b"$44=63"], "set $22=1"),
+    ([b"$22=1", b"$44=4", b"$45=3", b"$46=0"], "leave out ABC")])
+def test_homing_that_would_not_home_every_strut_is_refused_before_anything_is_sent(settings, says):
+    script = [HELLO[0], HELLO[1], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), HELLO[3]]
+    homed = IDLE.replace(b"FS:0,0", b"FS:0,0|H:1")
+    protocol = greeted([*script, (b"?", homed)] if b"$22=1" in settings else script)
+    verdict = talk([], lambda p: p.home(10.0), protocol)
+    assert verdict.accepted is False and says in verdict.reason
+    assert b"$22=0" in settings or not talk([(b"?", homed)], lambda p: p.state(), protocol).homed
+
+
+def test_rotary_axes_with_a_feed_of_their_own_are_refused():
+    assert settled(b"$376=7", b"$680=0") is not None
+    with pytest.raises(ControllerFault, match=r"takes ABC for rotary .* set \$376=0"):
+        talk([*HELLO[:2], (b"$$\n", b"$376=7\r\n$680=1\r\nok\r\n")], lambda p: p.hello())
+
+
 def test_state_in_machine_positions():
     state = talk([(b"?", IDLE)], lambda p: p.state())
     assert state.activity == "idle" and state.homed is None and state.fault == ""
@@ -110,6 +132,19 @@ def test_a_fence_takes_no_older_ok_and_notices_a_new_start():
 def test_stop_holds_first_and_then_resets():
     hold = IDLE.replace(b"Idle", b"Hold:1")
     script = [(b"!", b""), (b"?", hold), (b"?", hold.replace(b"Hold:1", b"Hold:0")), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
+              (b"G21G90G94F100\n", b"ok\r\n")]
+    assert talk(script, lambda p: p.stop(), greeted()).accepted
+
+
+def test_stop_resets_what_answers_nothing_because_it_homes():
+    banner = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
+    script = [(b"!", b""), (b"?", b""), (b"?", b""), (b"\x18", b"ALARM:6\r\n" + banner), (b"G21G90G94F100\n", b"error:9\r\n")]
+    assert talk(script, lambda p: p.stop(), greeted()).accepted
+
+
+def test_stop_lets_a_door_s_hold_end_before_it_resets():
+    door = IDLE.replace(b"Idle", b"Door:2")
+    script = [(b"!", b""), (b"?", door), (b"?", door.replace(b"Door:2", b"Door:1")), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
               (b"G21G90G94F100\n", b"ok\r\n")]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
