@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
@@ -47,7 +47,7 @@ COMMANDS = {
 }
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 refused with a reason, 2 wrong usage, 130 interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     parser = _Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts.",
@@ -83,7 +83,7 @@ def script() -> NoReturn:
 
 
 class _Parser(argparse.ArgumentParser):
-    def print_help(self, file=None) -> None:
+    def print_help(self, file: Any = None) -> None:
         """Print the help; unlike argparse's own this raises OSError where it cannot."""
         print(self.format_help(), end="", file=file)
 
@@ -136,7 +136,7 @@ def _signals() -> Iterator[None]:
         yield
         return
 
-    def end(number: int, _) -> None:
+    def end(number: int, _: Any) -> None:
         raise Ended(number)
 
     numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]

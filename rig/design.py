@@ -1,6 +1,7 @@
 """What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,7 +18,7 @@ DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
 }
 
 
-def _array(value, shape, what):
+def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     array = np.array(value, float)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
         raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
@@ -27,7 +28,7 @@ def _array(value, shape, what):
     return array
 
 
-def _set(self, name, shape):
+def _set(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
     object.__setattr__(self, name, _array(getattr(self, name), shape, name))
 
 
@@ -47,12 +48,12 @@ class Hexapod:
     strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
     kind = "hexapod"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
             _set(self, name, shape)
 
     @property
-    def axes(self):
+    def axes(self) -> tuple[str, ...]:
         """Names of the commanded axes, as commands.csv heads its columns."""
         return tuple(f"l{i + 1}" for i in range(6))
 
@@ -69,12 +70,12 @@ class Planar2:
     strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(2))
     kind = "planar2"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
             _set(self, name, shape)
 
     @property
-    def axes(self):
+    def axes(self) -> tuple[str, ...]:
         """Names of the commanded axes, as commands.csv heads its columns."""
         return ("l1", "l2")
 
@@ -94,19 +95,19 @@ class Arm:
     tool: RigidTransform = field(default_factory=RigidTransform.identity)
     kind = "arm"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _set(self, "joints", (None, None))
         if self.joints.shape[1] not in (4, 5):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         _set(self, "limits", (len(self.joints), 2))
 
     @property
-    def rows(self):
+    def rows(self) -> np.ndarray:
         """(n, 5) theta, d, a, alpha, beta; beta is 0 where it is not stated."""
         return np.pad(self.joints, ((0, 0), (0, 5 - self.joints.shape[1])))
 
     @property
-    def axes(self):
+    def axes(self) -> tuple[str, ...]:
         """Names of the commanded axes, as commands.csv heads its columns."""
         return tuple(f"q{i + 1}" for i in range(len(self.joints)))
 
@@ -143,7 +144,7 @@ class MeasuringLimbs:
     length_sigma: float
     zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("zeros", (6,))):
             _set(self, name, shape)
 
@@ -198,7 +199,7 @@ class Camera:
     mount: str = "fixed"
     source: str | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _set(self, "matrix", (3, 3))
         _set(self, "distortion", (None,))
         if len(self.distortion) not in DISTORTION_TERMS:
@@ -254,7 +255,7 @@ class Target:
     listed: tuple[Marker, ...] = ()
 
     @property
-    def ids(self):
+    def ids(self) -> tuple[int, ...]:
         """Identities of all its markers."""
         return tuple(number for _, number in self.faces) + tuple(marker.id for marker in self.listed)
 
@@ -277,7 +278,7 @@ class Design:
     controller: Controller | None = None
     sensors: SensorPort | None = None
 
-    def camera(self, name):
+    def camera(self, name: str) -> Camera:
         """The camera of that name. Raises ValueError with the names there are."""
         for camera in self.cameras:
             if camera.name == name:

@@ -2,14 +2,33 @@
 
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
-                        MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
+from rig.design import (
+    DICTIONARIES,
+    DISTORTION_TERMS,
+    FACES,
+    SOURCES,
+    Actuator,
+    Arm,
+    Camera,
+    Design,
+    Free,
+    Hexapod,
+    Instrument,
+    Marker,
+    MeasuringLimbs,
+    Planar2,
+    Platform,
+    Sensor,
+    SensorPort,
+    Target,
+)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.outside import read_text
@@ -24,7 +43,7 @@ LARGEST_IMAGE = 100_000  # px along a side
 LARGEST = 1 << 22  # bytes of a rig.toml
 
 
-def load(path):
+def load(path: str | Path) -> Design:
     """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or implausible."""
     path = Path(path)
     text = read_text(path, LARGEST, "no such file; every recording has a rig.toml")
@@ -42,7 +61,7 @@ def load(path):
     return _design(Entries(tree, (), path, places))
 
 
-def _design(root):
+def _design(root: Entries) -> Design:
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
                           "insitu", "controller", "sensors"))
@@ -59,7 +78,7 @@ def _design(root):
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None)
 
 
-def _mechanism(table):
+def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Free:
     kind = table.text("kind", ("hexapod", "planar2", "arm", "free"))
     if kind == "free":
         return Free()
@@ -88,7 +107,7 @@ def _mechanism(table):
     return hexapod
 
 
-def _ranges(table, key, count, length_limit):
+def _ranges(table: Entries, key: str, count: int, length_limit: float | None) -> np.ndarray:
     ranges = table.array(key, (count, 2), length_limit=length_limit)
     for i, (low, high) in enumerate(ranges):
         if not low < high:
@@ -98,18 +117,18 @@ def _ranges(table, key, count, length_limit):
     return ranges
 
 
-def _instrument(table):
+def _instrument(table: Entries) -> Instrument:
     return Instrument(table.text("base", ("free", "rig")), table.text("tool", ("free", "rig")),
                       table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", None, above=0, most=1, unit="rad"))
 
 
-def _actuator(table):
+def _actuator(table: Entries) -> Actuator:
     return Actuator(table.number("screw_lead", None, above=0, most=1, unit="m"),
                     table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
                     table.number("max_speed", None, above=0, most=100, unit="m/s"))
 
 
-def _controller(table, mechanism, actuator):
+def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Free, actuator: Actuator) -> Controller:
     table.refuse_misspelt([field.name for field in fields(Controller)])
     n = len(mechanism.axes)
     if mechanism.kind not in ("hexapod", "planar2"):
@@ -133,7 +152,7 @@ def _controller(table, mechanism, actuator):
         table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
 
 
-def _sensors(table):
+def _sensors(table: Entries) -> SensorPort:
     table.refuse_misspelt([field.name for field in fields(SensorPort)])
     channels = table.get("channels")
     if not isinstance(channels, list) or not channels or not all(isinstance(name, str) and name.isidentifier() for name in channels) or (
@@ -142,18 +161,18 @@ def _sensors(table):
     return SensorPort(table.text("port"), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 
-def _platform(table):
+def _platform(table: Entries) -> Platform:
     return Platform(table.number("mass", None, least=0, unit="kg"),
                     table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
 
 
-def _limbs(table):
+def _limbs(table: Entries) -> MeasuringLimbs:
     table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
     joints = [table.array(name, (6, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints")]
     return MeasuringLimbs(*joints, table.number("length_sigma", above=0, most=0.1, unit="m"))
 
 
-def _sensor(table):
+def _sensor(table: Entries) -> Sensor:
     known = {"blur": (20, "px"), "defocus": (20, "px"), "vignetting": (1, ""), "gain": (1000, "grey levels"), "exposure": (10, "s"),
              "read_noise": (100, "grey levels"), "electrons": (1e6, "")}
     table.refuse_misspelt((*known, "exposures", "bits"))
@@ -165,7 +184,7 @@ def _sensor(table):
     return Sensor(**values, bits=table.get("bits", 8))
 
 
-def _cameras(tables):
+def _cameras(tables: list[Entries]) -> tuple[Camera, ...]:
     cameras = []
     for table in tables:
         table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount"))
@@ -192,7 +211,7 @@ def _cameras(tables):
     return tuple(cameras)
 
 
-def _source(table):
+def _source(table: Entries) -> str | None:
     """What a camera is opened by, "KIND:PLACE", or None."""
     source = table.text("source", default=None)
     if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
@@ -201,7 +220,7 @@ def _source(table):
     return source
 
 
-def _targets(tables):
+def _targets(tables: list[Entries]) -> tuple[Target, ...]:
     targets, owners = [], {}
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
@@ -223,7 +242,7 @@ def _targets(tables):
     return tuple(targets)
 
 
-def _cube(table, name, body, dictionary):
+def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
     edge = table.number("edge", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     marker = table.number("marker", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
     if marker > edge:
@@ -238,7 +257,7 @@ def _cube(table, name, body, dictionary):
     return Target(name, body, dictionary, edge, marker, pairs, table.pose("pose"))
 
 
-def _listed(table, name, body, dictionary):
+def _listed(table: Entries, name: str, body: str, dictionary: str) -> Target:
     markers = []
     for row in table.tables("marker"):
         side = row.number("side", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
@@ -247,7 +266,7 @@ def _listed(table, name, body, dictionary):
     return Target(name, body, dictionary, listed=tuple(markers))
 
 
-def with_cameras(text, cameras):
+def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
     """The rig.toml text with each camera's matrix, distortion and pose replaced; all else, comments too, as it was.
 
     text : a valid rig.toml; cameras : Camera objects, matched by name. Raises KeyError for one that is not in the text.
@@ -267,7 +286,7 @@ def with_cameras(text, cameras):
     return tomlkit.dumps(document)
 
 
-def camera_block(camera):
+def camera_block(camera: Camera) -> str:
     """Text of a [[camera]] table as rig.toml takes it, its pose as a place to fill in."""
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
@@ -276,7 +295,7 @@ def camera_block(camera):
             'shutter = "global"\n')
 
 
-def with_places(text, places):
+def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
     """The rig.toml text with every target's markers listed at their places; a cube becomes a target of listed markers.
 
     text : a valid rig.toml; places : {target name: (Marker, ...)}

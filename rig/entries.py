@@ -1,12 +1,17 @@
 """A table of outside data, from TOML or JSON, that checks what it hands out, and complains with file, line, column and key."""
 
+from __future__ import annotations
+
 import difflib
 import math
 import re
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.errors import FileError
 from rig.outside import shown
@@ -20,9 +25,11 @@ SLIPS = 200  # keys among which a slip of one is looked for
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 NAMES = "letters, digits, '_', '-' and '.', at most 64 of them, the first a letter, digit or '_'"
 REQUIRED = object()
+Key = str | int  # of a table, or an index of a list
+Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
-def slip(word: str, known) -> str | None:
+def slip(word: str, known: Iterable) -> str | None:
     """The one of some known words that a word is likely a slip of, or None."""
     near = difflib.get_close_matches(word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=0.7)
     return near[0] if near else None
@@ -46,18 +53,18 @@ class Entries:
     file: Path
     places: dict
 
-    def fail(self, message, *keys, value=None):
+    def fail(self, message: str, *keys: Key, value: Any = None) -> NoReturn:
         """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
         at = self.path + keys
         while at not in self.places:
             at = at[:-1]
         raise FileError(self.file, message, *self.places[at], value=value)
 
-    def name(self, key):
+    def name(self, key: Key) -> str:
         """A key with its path, as in camera.1.width."""
         return ".".join(str(part + 1 if isinstance(part, int) else part) for part in (*self.path, key))
 
-    def get(self, key, default=REQUIRED):
+    def get(self, key: Key, default: Any = REQUIRED) -> Any:
         """A value as TOML has it. Raises FileError where it is missing and no default is given."""
         if key in self.tree:
             return self.tree[key]
@@ -66,28 +73,28 @@ class Entries:
             self.fail(f"{self.name(key)} is missing" + (f"; is {near!r} meant?" if near else ""), *([near] if near else []))
         return default
 
-    def table(self, key, optional=False):
+    def table(self, key: Key, optional: bool = False) -> Entries:
         """A table within this one."""
         value = self.get(key, {} if optional else REQUIRED)
         if not isinstance(value, dict):
             self.fail(f"{self.name(key)} must be a table, not {shown(value)}", key, value=value)
         return Entries(value, self.path + (key,), self.file, self.places)
 
-    def tables(self, key):
+    def tables(self, key: Key) -> list[Entries]:
         """The tables of an array of tables."""
         value = self.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             self.fail(f"{self.name(key)} must be written as [[{key}]] tables", key, value=value)
         return [Entries(item, self.path + (key, i), self.file, self.places) for i, item in enumerate(value)]
 
-    def lists(self, key, length):
+    def lists(self, key: Key, length: int) -> list[Entries]:
         """The lists of a list, each of a length, as Entries whose keys are 0, 1, .."""
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, list) and len(item) == length for item in value):
             self.fail(f"{self.name(key)} must be a list of lists of {length}", key)
         return [Entries(dict(enumerate(item)), (*self.path, key, i), self.file, self.places) for i, item in enumerate(value)]
 
-    def wholes(self, key, least=0):
+    def wholes(self, key: Key, least: int = 0) -> tuple[int, ...]:
         """Whole numbers of at least `least`, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list):
@@ -95,28 +102,28 @@ class Entries:
         inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
         return tuple(inner.whole(i, least) for i in range(len(value)))
 
-    def texts(self, key):
+    def texts(self, key: Key) -> tuple[str, ...]:
         """Texts, as a tuple."""
         value = self.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             self.fail(f"{self.name(key)} must be a list of texts, not {shown(value)}", key)
         return tuple(value)
 
-    def flag(self, key, default=REQUIRED):
+    def flag(self, key: Key, default: Any = REQUIRED) -> bool:
         """True or false."""
         value = self.get(key, default)
         if not isinstance(value, bool):
             self.fail(f"{self.name(key)} must be true or false, not {shown(value)}", key, value=value)
         return value
 
-    def identifier(self, key):
+    def identifier(self, key: Key) -> str:
         """The name of a camera, a target or the like."""
         value = self.text(key)
         if name_problem(value):
             self.fail(f"{self.name(key)}: {name_problem(value)}", key, value=value)
         return value
 
-    def text(self, key, choices=None, default=REQUIRED):
+    def text(self, key: Key, choices: Collection[str] | None = None, default: Any = REQUIRED) -> Any:
         """Text, one of choices where these are given."""
         value = self.get(key, default)
         if value is default and default is not REQUIRED:
@@ -127,7 +134,7 @@ class Entries:
             self.fail(f"{self.name(key)} must be one of {', '.join(map(repr, choices))}, not {shown(value)}", key, value=value)
         return value
 
-    def whole(self, key, least, default=REQUIRED, most=LARGEST_WHOLE):
+    def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = LARGEST_WHOLE) -> int:
         """A whole number of at least `least` and at most `most`."""
         value = self.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
@@ -135,7 +142,8 @@ class Entries:
             self.fail(f"{self.name(key)} must be a whole number of {limits}, not {shown(value)}", key, value=value)
         return value
 
-    def number(self, key, default=REQUIRED, least=None, most=None, above=None, unit="", nulls=False):
+    def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
+               unit: str = "", nulls: bool = False) -> Any:
         """A finite number within limits; None where the default says so; nulls : whether it may be null, and then is NaN."""
         value = self.get(key, default)
         if value is None and default is None:
@@ -146,7 +154,7 @@ class Entries:
         self._within(value, (key,), least, most, above, unit)
         return float(value)
 
-    def each(self, key, count, default=REQUIRED, **limits):
+    def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
         """(count,) finite numbers within limits, stated one by one or one for all; None where the default says so."""
         if not isinstance(self.get(key, default), list):
             value = self.number(key, default, **limits)
@@ -156,14 +164,15 @@ class Entries:
             self._within(value, (key, i), **limits)
         return values
 
-    def _within(self, value, keys, least=None, most=None, above=None, unit=""):
+    def _within(self, value: float, keys: tuple[Key, ...], least: float | None = None, most: float | None = None, above: float | None = None,
+                unit: str = "") -> None:
         if (least is not None and value < least) or (most is not None and value > most) or (above is not None and value <= above):
             limits = [f">= {least}" if least is not None else "", f"> {above}" if above is not None else "",
                       f"<= {most}" if most is not None else ""]
             label = self._label(keys[0], keys[1:])
             self.fail(f"{label} must be {' and '.join(filter(None, limits))} {unit}".rstrip() + f", not {shown(value)}", *keys, value=value)
 
-    def array(self, key, shape, default=REQUIRED, length_limit=None, nulls=False):
+    def array(self, key: Key, shape: Shape, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
         """Numbers nested as shape says (None: any length). length_limit (m) catches figures in another unit; nulls : whether a null
         may stand for what was not measured, and becomes NaN."""
         value = self.get(key, default)
@@ -173,7 +182,7 @@ class Entries:
         found = np.array(value, float)
         return found if found.size else found.reshape([n or 0 for n in shape])
 
-    def numbers(self, value, shape, key, index, length_limit=None, nulls=False):
+    def numbers(self, value: Any, shape: Shape, key: Key, index: tuple[int, ...], length_limit: float | None = None, nulls: bool = False) -> None:
         """Check that a value is a number, or numbers nested as shape says; index : where within the key's value it stands."""
         if shape:
             if not isinstance(value, list) or (shape[0] is not None and len(value) != shape[0]):
@@ -195,23 +204,23 @@ class Entries:
             self.fail(f"{self._label(key, index)} = {shown(value)} m is implausible (more than {length_limit:g} m): lengths are in metres; "
                       f"is this in millimetres ({value / 1000:g} m)?", key, *index, value=value)
 
-    def _label(self, key, index):
+    def _label(self, key: Key, index: tuple) -> str:
         return self.name(key) + "".join(f"[{i + 1}]" for i in index)
 
-    def pose(self, key):
+    def pose(self, key: Key) -> RigidTransform:
         """RigidTransform of a table with position (m) and rotvec (rad)."""
         inner = self.table(key)
         position = inner.array("position", (3,), length_limit=LARGEST_RIG)
         return pose(position, inner.turn("rotvec"))
 
-    def turn(self, key):
+    def turn(self, key: Key) -> np.ndarray:
         """(3,) rad, a rotation vector."""
         value = self.array(key, (3,))
         if np.abs(value).max() > LARGEST_TURN:
             self.fail(f"{self.name(key)} = {value.tolist()} turns more than once round: it is in radians; is this in degrees?", key, value=value)
         return value
 
-    def refuse_misspelt(self, known):
+    def refuse_misspelt(self, known: Collection[str]) -> None:
         """An unknown key one slip away from a known, absent one is a slip; other unknown keys are left alone."""
         for key in list(self.tree)[:SLIPS]:
             if key not in known:

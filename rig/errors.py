@@ -1,10 +1,14 @@
 """What can go wrong with a machine, its physics or its files, with the numbers that say so."""
+from os import PathLike
+from typing import Any
+
+import numpy as np
 
 
 class RigError(Exception):
     """Anything a rig, its files or its physics refuse; the message stands alone in front of a user."""
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple:
         """What one process hands another of it, whatever the kind's constructor takes."""
         return _handed, (type(self), self.args, vars(self))
 
@@ -16,7 +20,7 @@ class FileError(RigError):
     value : the offending text or number, or None
     """
 
-    def __init__(self, path, message, line=None, column=None, value=None):
+    def __init__(self, path: str | PathLike[str], message: str, line: int | None = None, column: int | None = None, value: Any = None) -> None:
         self.path, self.line, self.column, self.value = str(path), line, column, value
         place = ":".join(str(part) for part in (path, line, column) if part is not None)
         super().__init__(f"{place}: {message}")
@@ -28,7 +32,7 @@ class NotConverged(RigError):
     index : (k,) positions in the batch; lengths : (k, 6) m; residual : (k,) m, what was left
     """
 
-    def __init__(self, message, index, lengths, residual):
+    def __init__(self, message: str, index: np.ndarray, lengths: np.ndarray, residual: np.ndarray) -> None:
         self.index, self.lengths, self.residual = index, lengths, residual
         super().__init__(message)
 
@@ -39,7 +43,7 @@ class Unreachable(RigError):
     index : (k,) positions in the batch; violations : one line of text per pose
     """
 
-    def __init__(self, message, index, violations):
+    def __init__(self, message: str, index: np.ndarray, violations: list[str]) -> None:
         self.index, self.violations = index, violations
         super().__init__("\n".join([message, *(f"  {line}" for line in violations)]))
 
@@ -80,7 +84,7 @@ class Stopped(MotionError):
     """A motion that was stopped because somebody asked."""
 
 
-def _handed(kind, arguments, attributes):
+def _handed(kind: type[RigError], arguments: tuple, attributes: dict) -> RigError:
     error = kind.__new__(kind, *arguments)
     vars(error).update(attributes)
     return error

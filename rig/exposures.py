@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rig.design import Camera, Design
 from rig.errors import FileError
 from rig.images import check_image, inside
+from rig.origin import Origin
 from rig.outside import read_bytes
+from rig.table import Table
 
 SIMULTANEOUS = 1e-3  # s; exposures of one frame that differ by more were not exposed together
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
@@ -23,7 +26,7 @@ class Exposures:
     camera: list[str]
     image: list[str]
 
-    def times(self):
+    def times(self) -> tuple[np.ndarray, np.ndarray]:
         """(frames, t) : the distinct frames in order and their times (s)."""
         frames, first = np.unique(self.frame, return_index=True)
         return frames, self.t[first]
@@ -56,7 +59,7 @@ def undecodable(folder: Path, exposures: Exposures) -> list[Unreadable]:
     return found
 
 
-def _undecodable(path):
+def _undecodable(path: Path) -> str | None:
     try:
         read_image(path)
     except FileError as error:
@@ -64,7 +67,7 @@ def _undecodable(path):
     return None
 
 
-def load_exposures(folder, design, rows, origin, skip=False):
+def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, skip: bool = False) -> tuple[Exposures, list[Unreadable]]:
     """(Exposures, [Unreadable]) of a frames.csv, as a Table. skip : whether images that cannot be used are left out, which takes decoding
     every one; else they are errors, all of them named in one. Raises FileError with line and column."""
     written = rows.text("t")
@@ -98,7 +101,7 @@ def load_exposures(folder, design, rows, origin, skip=False):
     return Exposures(frame, t, camera, ["" if (f, c) in out else name for f, c, name in zip(frame.tolist(), camera, image)]), bad
 
 
-def _unusable(folder, name, frame, camera, line, decode):
+def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> Unreadable | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
     problem = inside(folder, name) or check_image(folder / name, camera) or (_undecodable(folder / name) if decode else None)
     if problem is None:
@@ -106,7 +109,7 @@ def _unusable(folder, name, frame, camera, line, decode):
     return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
 
 
-def read_image(path):
+def read_image(path: str | Path) -> np.ndarray:
     """Image as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
     import cv2
 

@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
+from rig.design import Camera
 from rig.errors import FileError
 from rig.outside import open_file
 
@@ -18,7 +19,7 @@ FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of a JPEG that give
 PNM = re.compile(rb"P[2356](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 
 
-def check_image(path, camera=None):
+def check_image(path: Path, camera: Camera | None = None) -> str | None:
     """What is wrong with an image file, in words, or None.
 
     path : file; camera : the Camera that took it, whose size it must have, or None for any. A PNG must end with its end chunk, a JPEG

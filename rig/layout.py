@@ -1,5 +1,7 @@
 """A sensible rig.toml from a few figures: a hexapod, cubes where cameras see them, cameras where they see the cubes."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -18,7 +20,8 @@ DISTANCE_SHARE = 4.4  # cameras from the middle of the rig, over the base's radi
 ELEVATION = 0.52  # rad above the middle of the rig
 
 
-def layout(radius, cameras=3, width=1280, height=1024, cubes=4, dictionary="DICT_5X5_100", name="hexapod", limbs=False):
+def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 1024, cubes: int = 4, dictionary: str = "DICT_5X5_100",
+           name: str = "hexapod", limbs: bool = False) -> str:
     """Text of a rig.toml.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
@@ -59,12 +62,12 @@ def layout(radius, cameras=3, width=1280, height=1024, cubes=4, dictionary="DICT
     return "\n".join(lines) + "\n"
 
 
-def _joints(radius, half_angle, turn):
+def _joints(radius: float, half_angle: float, turn: float) -> np.ndarray:
     angles = [turn + 2 * np.pi * k / 3 + side * half_angle for k in range(3) for side in (-1, 1)]
     return radius * np.array([[np.cos(a), np.sin(a), 0.0] for a in angles])
 
 
-def _cameras(radius, home, count, width, height):
+def _cameras(radius: float, home: np.ndarray, count: int, width: int, height: int) -> list[str]:
     middle = np.array([0, 0, 0.45 * home[2]])
     distance = DISTANCE_SHARE * radius
     focal = 0.5 * min(width, 1.25 * height) / np.tan(np.arcsin(1.6 * radius / distance))
@@ -84,7 +87,7 @@ def _cameras(radius, home, count, width, height):
     return lines
 
 
-def _cube(name, body, dictionary, first, edge, circle, angle):
+def _cube(name: str, body: str, dictionary: str, first: int, edge: float, circle: float, angle: float) -> list[str]:
     faces = ", ".join(f'"{face}" = {first + k}' for k, face in enumerate(FACES))
     position = [circle * np.cos(angle), circle * np.sin(angle), edge / 2]
     return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
@@ -92,9 +95,9 @@ def _cube(name, body, dictionary, first, edge, circle, angle):
             f"pose = {{ position = {_row(position)}, rotvec = [0.0, 0.0, {angle:.6f}] }}   # cube in body"]
 
 
-def _row(values):
+def _row(values: Iterable[float]) -> str:
     return "[" + ", ".join(f"{value:.9g}" if value else "0.0" for value in map(float, values)) + "]"
 
 
-def _rows(values):
+def _rows(values: Iterable[Iterable[float]]) -> str:
     return "[" + ", ".join(_row(row) for row in values) + "]"

@@ -1,14 +1,18 @@
 """corners.csv and poses.csv -> what was seen of a rig, checked: marker corners in images, platform poses."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import table
-from rig.errors import FileError
-from rig.pose import TRIANGLE, covariance_from_triangle, pose
+from rig.design import Design
 from rig.entries import LARGEST_RIG
+from rig.errors import FileError
+from rig.exposures import Exposures
+from rig.pose import TRIANGLE, covariance_from_triangle, pose
+from rig.table import Table
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
 COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
@@ -39,7 +43,7 @@ class Poses:
     covariance: np.ndarray | None
 
 
-def load_corners(path, design, exposures):
+def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
     """Corners of a corners.csv, or None where there is none. Raises FileError with line and column."""
     if not path.exists():
         return None
@@ -66,7 +70,7 @@ def load_corners(path, design, exposures):
     return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
 
 
-def _corner_covariance(rows):
+def _corner_covariance(rows: Table) -> np.ndarray | None:
     if all(name in rows.columns for name in CORNER_COVARIANCE):
         cuu, cuv, cvv = rows.matrix(CORNER_COVARIANCE).T
         bad = np.flatnonzero((cuu <= 0) | (cuu * cvv <= cuv**2))
@@ -82,7 +86,7 @@ def _corner_covariance(rows):
     return sigma[:, None, None] ** 2 * np.eye(2)
 
 
-def load_poses(path, known_frames=None, positions_alone=False):
+def load_poses(path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False) -> Poses:
     """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
 
     known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there are any,
@@ -106,7 +110,7 @@ def load_poses(path, known_frames=None, positions_alone=False):
     return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
 
 
-def _pose_covariance(rows):
+def _pose_covariance(rows: Table) -> np.ndarray | None:
     given = [name for name in COVARIANCE_COLUMNS if name in rows.columns]
     if not given:
         return None

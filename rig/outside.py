@@ -3,7 +3,7 @@
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from rig.errors import FileError
 
@@ -56,7 +56,7 @@ def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") ->
     return text
 
 
-def shown(value) -> str:
+def shown(value: Any) -> str:
     """A value as a message repeats it: like repr, but never long."""
     try:
         text = repr(value if not isinstance(value, str) else value[: 2 * SHOWN])

@@ -1,6 +1,9 @@
 """Whether a mechanism may go straight from some lengths to others: strut ranges, step, workspace and distance from singularities."""
 
+from typing import Any
+
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
 from rig.advice import OUT_OF_RANGE
@@ -52,7 +55,7 @@ def check_path(start: np.ndarray, target: np.ndarray, mechanism: Hexapod | Plana
                            f"value at home is left, [controller] margin asks for {margin:g}"])
 
 
-def _dexterity(module, poses, mechanism) -> np.ndarray:
+def _dexterity(module: Any, poses: RigidTransform, mechanism: Hexapod | Planar2) -> np.ndarray:
     """(...) least singular value of the Jacobian, turns taken as lengths at the platform joints' mean radius."""
     J = module.jacobian(poses, mechanism)
     if mechanism.kind == "hexapod":

@@ -5,34 +5,35 @@ T = T_mean * exp(xi), so it lives in b's frame.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 TRIANGLE = np.triu_indices(6)
 
 
-def pose(position, rotvec):
+def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
     """RigidTransform (...) from position (..., 3) m and rotation vector (..., 3) rad."""
     return RigidTransform.from_components(np.asarray(position, float), Rotation.from_rotvec(rotvec))
 
 
-def vector(T):
+def vector(T: RigidTransform) -> np.ndarray:
     """(..., 6) position (m) and rotation vector (rad) of a RigidTransform (...), as files write it."""
     return np.concatenate([T.translation, T.rotation.as_rotvec()], axis=-1)
 
 
-def exp(xi):
+def exp(xi: ArrayLike) -> RigidTransform:
     """RigidTransform (...) of the tangent (..., 6), translation first (m, rad)."""
     xi = np.asarray(xi, float)
     return RigidTransform.from_exp_coords(np.concatenate([xi[..., 3:], xi[..., :3]], axis=-1))
 
 
-def log(T):
+def log(T: RigidTransform) -> np.ndarray:
     """Tangent (..., 6) of a RigidTransform (...), translation first (m, rad)."""
     coords = T.as_exp_coords()
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
-def difference(T_from, T_to):
+def difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the first.
 
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
@@ -40,13 +41,13 @@ def difference(T_from, T_to):
     return vector(T_from.inv() * T_to)
 
 
-def transform_points(T, points):
+def transform_points(T: RigidTransform, points: np.ndarray) -> np.ndarray:
     """Points (..., n, 3) of frame b, in frame a, for T_a_b : RigidTransform (...). Same unit as given."""
     matrix = T.as_matrix()
     return points @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
 
 
-def skew(vectors):
+def skew(vectors: ArrayLike) -> np.ndarray:
     """(..., 3, 3) cross-product matrices of vectors (..., 3)."""
     v = np.asarray(vectors, float)
     out = np.zeros((*v.shape, 3))
@@ -55,7 +56,7 @@ def skew(vectors):
     return out
 
 
-def covariance_from_triangle(triangle):
+def covariance_from_triangle(triangle: ArrayLike) -> np.ndarray:
     """(..., 6, 6) symmetric from the 21 upper-triangle entries c00 c01 .. c55 (..., 21)."""
     triangle = np.asarray(triangle, float)
     out = np.zeros((*triangle.shape[:-1], 6, 6))

@@ -4,15 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rig import design_file, table
-from rig.origin import Origin, decimal
 from rig.design import Design
 from rig.entries import name_problem
 from rig.errors import FileError, RigError
 from rig.exposures import Exposures, Unreadable, load_exposures
 from rig.files import complete
 from rig.observed import Corners, Poses, load_corners, load_poses
+from rig.origin import Origin, decimal
+from rig.table import Table
 
 LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m, read only where there are rows about an exposure
 LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
@@ -25,7 +27,7 @@ class Commands:
     t: np.ndarray
     values: np.ndarray
 
-    def at(self, t):
+    def at(self, t: ArrayLike) -> np.ndarray:
         """(..., axes) what was commanded at times t (s). Raises RigError for a time before the first command."""
         t = np.asarray(t, float)
         if (t < self.t[0]).any():
@@ -41,7 +43,7 @@ class Sensors:
     t: np.ndarray
     channels: dict[str, np.ndarray]
 
-    def at(self, t, *names):
+    def at(self, t: ArrayLike, *names: str) -> np.ndarray:
         """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
         for name in names:
             if name in self.channels:
@@ -66,11 +68,11 @@ class Recording:
     skipped: tuple[Unreadable, ...] = ()
 
     @property
-    def has_images(self):
+    def has_images(self) -> bool:
         """Whether any exposure names an image."""
         return any(self.exposures.image)
 
-    def commanded(self):
+    def commanded(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(frames, t, values (n, axes)): what was commanded at each frame. Raises RigError without commands.csv."""
         if self.commands is None:
             raise RigError(f"{self.folder}: there is no commands.csv, so nothing was commanded")
@@ -78,7 +80,7 @@ class Recording:
         return frames, t, self.commands.at(t)
 
 
-def load(folder, skip_unreadable=False):
+def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     """Recording of a folder. skip_unreadable : whether images that cannot be used are left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
@@ -103,13 +105,13 @@ def load(folder, skip_unreadable=False):
     return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped))
 
 
-def _origin(rows):
+def _origin(rows: Table) -> Origin:
     """The Origin that stands at 0 at the first row of a table with times."""
     rows.times("t", Origin())  # which checks them
     return Origin(decimal(rows.text("t")[0]))
 
 
-def _command_rows(path, design):
+def _command_rows(path: Path, design: Design) -> Table | None:
     if not path.exists():
         return None
     if not design.mechanism.axes:
@@ -117,7 +119,7 @@ def _command_rows(path, design):
     return table.read(path, ("t", *design.mechanism.axes))
 
 
-def _commands(rows, design, exposures, origin):
+def _commands(rows: Table, design: Design, exposures: Exposures, origin: Origin) -> Commands:
     path, t = rows.path, _increasing(rows, origin)
     for column in rows.columns:
         if column not in ("t", *design.mechanism.axes) and column[:1] == design.mechanism.axes[0][0] and column[1:].isdigit():
@@ -132,7 +134,7 @@ def _commands(rows, design, exposures, origin):
     return Commands(t, rows.matrix(design.mechanism.axes))
 
 
-def _increasing(rows, origin):
+def _increasing(rows: Table, origin: Origin) -> np.ndarray:
     t, shown = rows.times("t", origin), rows.text("t")
     back = np.flatnonzero(np.diff(t) <= 0)
     if len(back):
@@ -141,7 +143,7 @@ def _increasing(rows, origin):
     return t
 
 
-def _sensors(path, origin, exposures):
+def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None:
     if not path.exists():
         return None
     rows = table.read(path, ("t",))
@@ -154,7 +156,7 @@ def _sensors(path, origin, exposures):
     return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 
-def _covers(rows, t, exposures, origin):
+def _covers(rows: Table, t: np.ndarray, exposures: Exposures, origin: Origin) -> None:
     """Raise FileError where exposures lie farther outside a log, at t (n,) s, than its rows are apart: nobody knows what was then.
     One row alone states what never changed."""
     if len(t) == 1:

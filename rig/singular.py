@@ -24,7 +24,7 @@ def singular(hexapod: Hexapod) -> str | None:
     return "is singular: there the strut lengths do not hold the platform, and no pose follows from them; another home is needed, turned or tilted"
 
 
-def _least(hexapod, move, size):
+def _least(hexapod: Hexapod, move: np.ndarray, size: float) -> float:
     """Least singular value of the Jacobian at home moved by a tangent (m, rad), as a share of the largest; 0 where a strut has no length."""
     matrix = (hexapod.home * exp(move)).as_matrix()
     R, a = matrix[:3, :3], hexapod.platform_joints

@@ -2,9 +2,11 @@
 
 import csv
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -26,20 +28,20 @@ class Table:
     rows: list
     lines: np.ndarray
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.rows)
 
-    def fail(self, message, row, column=None, value=None):
+    def fail(self, message: str, row: int, column: str | None = None, value: Any = None) -> NoReturn:
         """Raise FileError at a row (index) and a column (name); the column is given as its place in the row, from 1."""
         place = self.columns.index(column) + 1 if column is not None else None
         raise FileError(self.path, message, int(self.lines[row]), place, value)
 
-    def text(self, column):
+    def text(self, column: str) -> list[str]:
         """List of the column's cells, spaces around them dropped."""
         at = self.columns.index(column)
         return [row[at].strip() for row in self.rows]
 
-    def numbers(self, column):
+    def numbers(self, column: str) -> np.ndarray:
         """(n,) finite floats. Raises FileError at the first cell that is none."""
         cells = self.text(column)
         try:
@@ -55,7 +57,7 @@ class Table:
                 self.fail(f"column {shown(column)} {problem}: {shown(cell)}", i, column, cell)
         raise AssertionError("unreachable: a bad column without a bad cell")
 
-    def times(self, column, origin: Origin):
+    def times(self, column: str, origin: Origin) -> np.ndarray:
         """(n,) s from a recording's start. Raises FileError at the first cell that is no finite number or cannot be in seconds."""
         values, cells = self.numbers(column), self.text(column)
         far = np.flatnonzero(np.abs(values) > LATEST)
@@ -65,7 +67,7 @@ class Table:
                       column, cells[i])
         return origin.seconds(cells)
 
-    def whole(self, column):
+    def whole(self, column: str) -> np.ndarray:
         """(n,) integers of at least 0. Raises FileError at the first cell that is none."""
         values = self.numbers(column)
         bad = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > LARGEST_WHOLE))
@@ -74,12 +76,12 @@ class Table:
             self.fail(f"column {column!r} must be a whole number {limits}, not {shown(self.text(column)[bad[0]])}", bad[0], column)
         return values.astype(int)
 
-    def matrix(self, columns):
+    def matrix(self, columns: Iterable[str]) -> np.ndarray:
         """(n, k) finite floats of several columns."""
         return np.stack([self.numbers(column) for column in columns], axis=1) if columns else np.zeros((len(self), 0))
 
 
-def _number_problem(cell):
+def _number_problem(cell: str) -> str | None:
     """What is wrong with a cell that should be a number, in words, or None."""
     if len(cell) > LONGEST_NUMBER:
         return f"has {len(cell)} characters, more than any number needs"
@@ -92,7 +94,7 @@ def _number_problem(cell):
     return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 
-def read(path, required, optional=()):
+def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
     """Table of a CSV file with a header line.
 
     required : column names that must be there; optional : names that may be. Further columns are kept, unless one looks
@@ -119,7 +121,7 @@ def read(path, required, optional=()):
     return Table(path, header, rows, np.array(lines))
 
 
-def _header(path, cells, required, optional):
+def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optional: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the columns, checked."""
     header = tuple(name.strip() for name in cells)
     if not any(header):

@@ -1,6 +1,7 @@
 """Where each value of a TOML text stands, so that an error can name line and column (tomllib does not say)."""
 
 import re
+from collections.abc import Callable
 
 _SPACE = re.compile(r"[ \t]*")
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -9,7 +10,7 @@ _STRING = re.compile(r'''"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|
 _SCALAR = re.compile(r"[^,\]}\s#]+(?: [0-9:.]+)?")
 
 
-def positions(text):
+def positions(text: str) -> dict[tuple, tuple[int, int]]:
     """{path: (line, column)} of every table, array element and value of a TOML text that tomllib has accepted.
 
     A path is a tuple of keys and indices, as in ("camera", 0, "matrix", 2, 1); lines and columns count from 1.
@@ -30,13 +31,13 @@ def positions(text):
 class _Scanner:
     """A recursive descent over TOML that keeps nothing but offsets."""
 
-    def __init__(self, text):
+    def __init__(self, text: str) -> None:
         self.text, self.at, self.found, self.counts = text, 0, {}, {}
 
-    def skip(self, pattern):
+    def skip(self, pattern: re.Pattern[str]) -> None:
         self.at = pattern.match(self.text, self.at).end()
 
-    def key(self):
+    def key(self) -> tuple[str, ...]:
         parts = []
         while True:
             self.skip(_SPACE)
@@ -48,7 +49,7 @@ class _Scanner:
                 return tuple(parts)
             self.at += 1
 
-    def resolve(self, parts):
+    def resolve(self, parts: tuple) -> tuple:
         """Insert the index of the latest element wherever a part names an array of tables."""
         path = ()
         for part in parts:
@@ -57,7 +58,7 @@ class _Scanner:
                 path += (self.counts[path] - 1,)
         return path
 
-    def document(self):
+    def document(self) -> None:
         base = ()
         while True:
             self.skip(_BLANK)
@@ -80,13 +81,13 @@ class _Scanner:
                 continue
             self.found.setdefault(base, start)
 
-    def pair(self, base):
+    def pair(self, base: tuple) -> None:
         path = base + self.key()
         self.at += 1  # the equals sign
         self.skip(_SPACE)
         self.value(path)
 
-    def value(self, path):
+    def value(self, path: tuple) -> None:
         self.found[path] = self.at
         opening = self.text[self.at]
         if opening == "[":
@@ -97,7 +98,7 @@ class _Scanner:
             pattern = _STRING if opening in "\"'" else _SCALAR
             self.skip(pattern)
 
-    def items(self, path, closing, read):
+    def items(self, path: tuple, closing: str, read: Callable[[int], None]) -> None:
         self.at += 1
         index = 0
         while True:

@@ -1,20 +1,23 @@
 """Arrays -> the files of a recording, each written whole or not at all."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from rig.exposures import Exposures
 from rig.files import write_bytes, write_text
+from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
+from rig.origin import Origin
 from rig.pose import TRIANGLE, vector
-from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS
 
 
-def write_table(path, header, rows):
+def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     """Write a CSV file of a header (names) and rows (lines of text)."""
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
-def write_poses(path, poses):
+def write_poses(path: Path, poses: Poses) -> None:
     """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
     header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]
     lines = [",".join(header)]
@@ -26,7 +29,7 @@ def write_poses(path, poses):
     write_text(path, "\n".join(lines) + "\n")
 
 
-def write_corners(path, corners):
+def write_corners(path: Path, corners: Corners) -> None:
     """Write a corners.csv with sigma and the whole covariance of each corner."""
     lines = [",".join([*CORNER_COLUMNS, *(("sigma", *CORNER_COVARIANCE) if corners.covariance is not None else ())])]
     for i, camera in enumerate(corners.camera):
@@ -38,7 +41,7 @@ def write_corners(path, corners):
     write_text(path, "\n".join(lines) + "\n")
 
 
-def copy_times(source, target, exposures, origin):
+def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:
     """Put frames.csv (without image names), commands.csv and sensors.csv of one folder into another, which then is a recording.
 
     origin : Origin that the folder's times are told by

@@ -1,13 +1,15 @@
 """What stands between a camera and a marker: struts, plates and cubes, worked out from the same solids that the scene draws."""
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.design import Design
 from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius
 
 NEAR = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def hidden(design, T_base_platform, frame, eye, points):
+def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(k,) bool, whether the straight line from an eye to a point is blocked.
 
     design : Design as it really is; T_base_platform : RigidTransform (F,); frame : (k,) index
@@ -37,12 +39,12 @@ def hidden(design, T_base_platform, frame, eye, points):
     return blocked
 
 
-def _into(matrix, points):
+def _into(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (k, 3) in each one's body frame, matrix (k, 4, 4)."""
     return ((points - matrix[:, :3, 3])[:, None] @ matrix[:, :3, :3])[:, 0]
 
 
-def _through_rod(p, q, a, b, radius):
+def _through_rod(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray, radius: float | np.ndarray) -> np.ndarray:
     """(k,) bool, whether segments p-q come within a radius of segments a-b. Source: Ericson, Real-Time Collision Detection, 5.1.9"""
     d1, d2, r = q - p, b - a, p - a
     A, E, F = (np.einsum("ki,ki->k", x, y) for x, y in ((d1, d1), (d2, d2), (d2, r)))
@@ -55,7 +57,7 @@ def _through_rod(p, q, a, b, radius):
     return np.einsum("ki,ki->k", gap, gap) < radius**2
 
 
-def _through_disc(p, q, top, radius, thickness):
+def _through_disc(p: np.ndarray, q: np.ndarray, top: float, radius: float, thickness: float) -> np.ndarray:
     """(k,) bool, whether segments p-q cross the faces z = top or z = top - thickness within a radius of the z axis."""
     crossed = np.zeros(len(p), bool)
     for z in (top, top - thickness):
@@ -66,7 +68,7 @@ def _through_disc(p, q, top, radius, thickness):
     return crossed
 
 
-def _through_box(p, q, half):
+def _through_box(p: np.ndarray, q: np.ndarray, half: float | np.ndarray) -> np.ndarray:
     """(k,) bool, whether segments p-q enter the cube |x|, |y|, |z| < half."""
     d = q - p
     d = np.where(np.abs(d) > 1e-12, d, 1e-12)

@@ -1,12 +1,15 @@
 """A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
 
 import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from rig.design import Sensor
+from rig.design import Camera, Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.files import write_bytes
@@ -14,6 +17,7 @@ from rig.processes import cores, gathered, pool_of
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
+from synthetic.simulation import Simulation
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
@@ -31,7 +35,7 @@ class Images:
     processes: int = 0
 
 
-def render(simulation, out, images, seed, progress=None):
+def render(simulation: Simulation, out: Path, images: Images, seed: int, progress: Callable[[int, int], None] | None = None) -> None:
     """Draw every image of a simulation into out/images. seed : of the noise, the same for any number of processes.
 
     Raises MissingLibrary where there is no OpenGL, RigError for an effect that the renderer cannot draw
@@ -61,7 +65,7 @@ def render(simulation, out, images, seed, progress=None):
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
 
 
-def check_drawable(effects):
+def check_drawable(effects: Iterable[Effect]) -> None:
     """Raise RigError for effects that act on corners alone and that a picture cannot show."""
     for effect in effects:
         if type(effect).bend is not Effect.bend or type(effect).print_ is not Effect.print_:
@@ -71,12 +75,12 @@ def check_drawable(effects):
 _state = {}  # of a drawing process: what it was started with
 
 
-def _start(simulation, out, images, seed):
+def _start(simulation: Simulation, out: Path, images: Images, seed: int) -> None:
     _state.clear()
     _state.update(simulation=simulation, out=out, images=images, seed=seed)
 
 
-def _prepare():
+def _prepare() -> None:
     """Make this process's scene, renderer and poses; here and not at its start, so that what fails is told to the caller."""
     simulation, images, seed = _state["simulation"], _state["images"], _state["seed"]
     design = simulation.world.true
@@ -90,7 +94,7 @@ def _prepare():
     _state.update(design=design, renderer=Renderer(parts, design), exposures=_exposures())
 
 
-def _draw(item):
+def _draw(item: tuple[int, int]) -> None:
     """Draw and write the image of (frame, camera index)."""
     f, i = item
     if "renderer" not in _state:
@@ -101,7 +105,7 @@ def _draw(item):
     write_bytes(path, cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, images.compression])[1].tobytes())
 
 
-def _exposed(f, i, sensor):
+def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     """The image of (frame, camera index) by a sensor."""
     seed, exposures = _state["seed"], _state["exposures"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
@@ -109,7 +113,7 @@ def _exposed(f, i, sensor):
     return expose(radiance, sensor, rng, SAMPLES)
 
 
-def picture(simulation, f, i, images, seed):
+def picture(simulation: Simulation, f: int, i: int, images: Images, seed: int) -> np.ndarray:
     """The image, uint8 or uint16 (12 bits), of frame f by camera i, drawn in this process, whose scene is made once for a world.
 
     simulation : Simulation, possibly another of the same world each time; images : Images; seed : of the noise
@@ -126,20 +130,20 @@ def picture(simulation, f, i, images, seed):
     return _exposed(f, i, images.sensor)
 
 
-def _exposures():
+def _exposures() -> list[tuple[float, RigidTransform]]:
     """[(s before or after the middle of the exposure, T_base_platform at all frames)] of the pictures that make an image."""
     simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
     return [(shift, simulation.run.T_base_platform if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
 
 
-def _sub_exposures(sensor):
+def _sub_exposures(sensor: Sensor) -> list[float]:
     """Seconds before and after the middle of the exposure at which pictures are taken and averaged."""
     if sensor.exposure <= 0 or sensor.exposures <= 1:
         return [0.0]
     return (((np.arange(sensor.exposures) + 0.5) / sensor.exposures - 0.5) * sensor.exposure).tolist()
 
 
-def _picture(camera, i, f, shift, T):
+def _picture(camera: Camera, i: int, f: int, shift: float, T: RigidTransform) -> np.ndarray:
     """Radiance seen by a camera, the exposure shifted (s), the platform at T; rows of a rolling shutter at their own times."""
     s = _state["simulation"]
     t = s.plan.t[f] + shift
@@ -159,17 +163,17 @@ def _picture(camera, i, f, shift, T):
     return (1 - share) * pictures[low, rows] + share * pictures[low + 1, rows]
 
 
-def _row_time(camera, effects):
+def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
     """s from one row to the next, as stated and by effects."""
     stated = camera.row_time if camera.shutter == "rolling" else 0.0
     return stated + sum(float(effect.late(camera, camera.height / 2 + 1.0)) for effect in effects)
 
 
-def _view(camera, t, T):
+def _view(camera: Camera, t: float, T: RigidTransform) -> np.ndarray:
     """Radiance seen by a camera at time t (s), its mount and focal length as the effects have them then."""
     sensors = _state["simulation"].sensors
 
-    def channel(*names):
+    def channel(*names: str) -> np.ndarray:
         return np.array([sensors.at([t], *names)[0]])
 
     mount, focal = np.zeros(6), 1.0
@@ -179,7 +183,7 @@ def _view(camera, t, T):
     return _state["renderer"].draw(camera.name, T, mount if mount.any() else None, focal)
 
 
-def _travel(i, T):
+def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
     state, markers = State(design.cameras, T, {}), marker_map(design)

@@ -8,19 +8,24 @@ white paper to OpenGL: it tells which paper is seen where, with white and with b
 OpenGL.
 """
 
+from __future__ import annotations
+
 import os
 import sys
 import types
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba import njit
 from scipy.interpolate import RectBivariateSpline
+from scipy.spatial.transform import RigidTransform
 
+from rig.design import Camera, Design
 from rig.errors import MissingLibrary
 from rig.pose import exp
 from synthetic.ink import bilinear, lay
-from synthetic.scene import BLACK, WHITE, body_poses, shade
+from synthetic.scene import BLACK, WHITE, Part, body_poses, shade
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
@@ -34,7 +39,7 @@ TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
 
-def opengl():
+def opengl() -> Any:
     """The pyrender module without its viewer. Raises MissingLibrary naming the packages where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
@@ -52,7 +57,7 @@ def opengl():
 class Renderer:
     """Draws one rig for its cameras. parts : Parts of the scene; design : Design whose cameras look at it."""
 
-    def __init__(self, parts, design):
+    def __init__(self, parts: list[Part], design: Design) -> None:
         self.pyrender = opengl()
         self.parts, self.mechanism = parts, design.mechanism
         self.numbers = {id(part): 1 + k % NUMBERS for k, part in enumerate(part for part in parts if part.ink is not None)}
@@ -69,11 +74,11 @@ class Renderer:
         # pyrender draws in a set's order, by where nodes lie in memory; where faces meet, the first drawn is what is seen
         self.renderer._renderer._sorted_mesh_nodes = lambda _: self.nodes
 
-    def close(self):
+    def close(self) -> None:
         """Give the OpenGL context back."""
         self.renderer.delete()
 
-    def draw(self, camera_name, T_base_platform, mount=None, focal=1.0):
+    def draw(self, camera_name: str, T_base_platform: RigidTransform, mount: np.ndarray | None = None, focal: float = 1.0) -> np.ndarray:
         """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to the pixel each way.
 
         mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its focal length
@@ -103,13 +108,13 @@ class Renderer:
         out /= np.float32(255)
         return out
 
-    def _colour(self, part, grey):
+    def _colour(self, part: Part, grey: float) -> list[float]:
         """Red: the part's grey; green: the same where paper is black; blue: the number of a part with ink."""
         if part.ink is None:
             return [grey, grey, 0.0, 1.0]
         return [grey, grey * BLACK / WHITE, self.numbers[id(part)] / 255, 1.0]
 
-    def _lay(self, part, from_cells, pinhole, picture, out):
+    def _lay(self, part: Part, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray) -> None:
         """Lay a part's ink. from_cells : (4, 3) cells (X, Y, 1) to the camera's frame"""
         G, n = from_cells[:3], len(part.ink.cells)
         if not G[:, 2] @ np.cross(G[:, 0], G[:, 1]) > 0:
@@ -123,18 +128,18 @@ class Renderer:
         if box is not None:
             lay(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), part.ink.cells, self.numbers[id(part)], out)
 
-    def _without_multisampling(self):
+    def _without_multisampling(self) -> None:
         """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it is."""
         from OpenGL import GL
 
         inner = self.renderer._renderer
         configure = inner._configure_main_framebuffer
 
-        def single():
+        def single() -> None:
             configure()
             inner._main_fb_ms = inner._main_fb
 
-        def read(scene, flags):
+        def read(scene: Any, flags: int) -> np.ndarray:
             width, height = inner._main_fb_dims
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, inner._main_fb)
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
@@ -142,7 +147,7 @@ class Renderer:
 
         inner._configure_main_framebuffer, inner._read_main_framebuffer = single, read
 
-    def _mesh(self, part):
+    def _mesh(self, part: Part) -> Any:
         pyrender = self.pyrender
         material = pyrender.MetallicRoughnessMaterial(baseColorFactor=[1, 1, 1, 1.0])
         uv = None
@@ -155,7 +160,7 @@ class Renderer:
         return pyrender.Mesh([primitive])
 
 
-def _texture(pyrender, picture):
+def _texture(pyrender: Any, picture: np.ndarray) -> Any:
     """A texture with trilinear mipmaps."""
     from OpenGL import GL
 
@@ -164,7 +169,7 @@ def _texture(pyrender, picture):
     return pyrender.Texture(source=picture, source_channels="RGB", sampler=sampler)
 
 
-def _zoomed(camera, factor):
+def _zoomed(camera: Camera, factor: float) -> Camera:
     matrix = camera.matrix.copy()
     matrix[[0, 1], [0, 1]] *= factor
     return replace(camera, matrix=matrix)
@@ -173,7 +178,7 @@ def _zoomed(camera, factor):
 class _Pinhole:
     """The oversized pinhole picture behind a camera's image, and the way from one to the other."""
 
-    def __init__(self, camera):
+    def __init__(self, camera: Camera) -> None:
         self.camera = camera
         nodes_u, nodes_v = np.arange(-GRID, camera.width + 2 * GRID, GRID), np.arange(-GRID, camera.height + 2 * GRID, GRID)
         grid = np.stack(np.meshgrid(nodes_u, nodes_v), axis=-1).astype(float)
@@ -190,18 +195,18 @@ class _Pinhole:
                 for k, spline in enumerate(self.splines))
         self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)
 
-    def bend(self, picture):
+    def bend(self, picture: np.ndarray) -> np.ndarray:
         """(SAMPLES height, SAMPLES width) float32 0..255 of the first channel of a pinhole picture (uint8, last row first)."""
         out = np.empty(self.places.shape[:2], np.float32)
         _bend(picture, self.places, out)
         return out
 
-    def ideal(self, box):
+    def ideal(self, box: tuple[int, int, int, int]) -> np.ndarray:
         """(2, rows + 2, columns + 2) x / z, y / z of the finer picture's elements of a box x0, y0, x1, y1, one more on every side."""
         x0, y0, x1, y1 = box
         return np.stack([spline(_fine(y0 - 1, y1 + 1), _fine(x0 - 1, x1 + 1)) for spline in self.splines])
 
-    def box(self, points):
+    def box(self, points: np.ndarray) -> tuple[int, int, int, int] | None:
         """x0, y0, x1, y1 of the finer picture's elements about points (n, 3) of the camera's frame, or None where none is in the picture."""
         uv = (lens.project(points, self.camera.matrix, self.camera.distortion) + 0.5) * SAMPLES
         low = np.maximum(np.floor(uv.min(axis=0)).astype(int) - PAD, 0)
@@ -209,7 +214,7 @@ class _Pinhole:
         return (*low.tolist(), *high.tolist()) if (low < high).all() else None
 
 
-def _fine(first, last):
+def _fine(first: int, last: int) -> np.ndarray:
     """px, the centres of elements first .. last - 1 of the finer picture along one axis."""
     return (np.arange(first, last) + 0.5) / SAMPLES - 0.5
 

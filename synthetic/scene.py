@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import FACES
-from vision.targets import face_pose, marker_cells, marker_map
+from rig.design import FACES, Arm, Design, Free, Hexapod, Planar2, Target
+from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
 STRUT_RADIUS, ROD_RADIUS = 0.055, 0.03  # of the base's radius
@@ -60,7 +60,7 @@ LAMPS = (Lamp((0.6, 0.4, 1.6), 1.3), Lamp((-0.9, -0.3, 1.3), 0.6))
 AMBIENT = 0.25
 
 
-def parts(design, background="plain", rng=None, markers=None):
+def parts(design: Design, background: str = "plain", rng: np.random.Generator | None = None, markers: MarkerMap | None = None) -> list[Part]:
     """All Parts of a rig. background : "plain" or "cluttered"; rng : numpy Generator, for the clutter.
 
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
@@ -78,7 +78,7 @@ def parts(design, background="plain", rng=None, markers=None):
     return found + _surroundings(design, background, rng)
 
 
-def body_poses(mechanism, T_base_platform):
+def body_poses(mechanism: Hexapod | Planar2 | Arm | Free, T_base_platform: RigidTransform) -> dict[str, np.ndarray]:
     """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks."""
     poses = {"world": np.eye(4), "base": np.eye(4), "platform": T_base_platform.as_matrix()}
     if mechanism.kind == "hexapod":
@@ -98,7 +98,7 @@ def body_poses(mechanism, T_base_platform):
     return poses
 
 
-def shade(part, matrix):
+def shade(part: Part, matrix: np.ndarray) -> float:
     """Brightness 0..1 of a part in its body's pose (4, 4), albedo times what the lamps give."""
     centre = matrix[:3, :3] @ part.centre + matrix[:3, 3]
     light = AMBIENT
@@ -110,21 +110,21 @@ def shade(part, matrix):
     return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))
 
 
-def plate_radius(body, design):
+def plate_radius(body: str, design: Design) -> float:
     """m, of the disc that carries a body's joints and cubes."""
     joints = design.mechanism.base_joints if body == "base" else design.mechanism.platform_joints
     cubes = [np.linalg.norm(target.pose.translation[:2]) + 0.8 * target.edge for target in design.targets if target.body == body and target.edge]
     return max([1.12 * np.linalg.norm(joints[:, :2], axis=1).max(), *cubes])
 
 
-def _plate(body, joints, design):
+def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
     """A disc just under the plane of joints."""
     disc = trimesh.creation.cylinder(radius=plate_radius(body, design), height=PLATE, sections=96)
     disc.apply_translation([0, 0, joints[:, 2].mean() - PLATE / 2 - 0.002])
     return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
 
 
-def _struts(hexapod):
+def _struts(hexapod: Hexapod) -> list[Part]:
     radius = np.linalg.norm(hexapod.base_joints, axis=1).mean()
     found = []
     for i in range(6):
@@ -135,14 +135,14 @@ def _struts(hexapod):
     return found
 
 
-def _blank_faces(target):
+def _blank_faces(target: Target) -> list[Part]:
     """The faces of a cube that carry no marker."""
     taken = dict(target.faces)
     return [_quad(target.body, target.pose * face_pose(face, target.edge), target.edge / 2, WHITE)
             for face in FACES if target.edge is not None and face not in taken]
 
 
-def marker_face(body, dictionary, number, T_body_marker, side, size):
+def marker_face(body: str, dictionary: str, number: int, T_body_marker: RigidTransform, side: float, size: float) -> Part:
     """Part of a square white sheet of a size (m) with a marker of a side (m) in its middle; posed x right, y up, z out."""
     cells = marker_cells(dictionary, number)[1:-1, 1:-1]
     cell = side / len(cells)
@@ -150,13 +150,14 @@ def marker_face(body, dictionary, number, T_body_marker, side, size):
     return _quad(body, T_body_marker, size / 2, WHITE, ink=Ink(np.ascontiguousarray(cells), T_body_marker.as_matrix() @ on_sheet))
 
 
-def _quad(body, T, half, albedo, texture=None, uv=None, ink=None):
+def _quad(body: str, T: RigidTransform, half: float, albedo: float, texture: np.ndarray | None = None, uv: np.ndarray | None = None,
+          ink: Ink | None = None) -> Part:
     corners = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     mesh = trimesh.Trimesh(T.apply(corners), [[0, 3, 2], [0, 2, 1]], process=False)
     return Part(body, mesh, T.rotation.as_matrix()[:, 2], T.translation, albedo, texture, uv, ink)
 
 
-def _surroundings(design, background, rng):
+def _surroundings(design: Design, background: str, rng: np.random.Generator | None) -> list[Part]:
     reach = 3.0 * max([0.5] + [np.linalg.norm(camera.pose.translation) for camera in design.cameras])
     if background == "plain":
         room = trimesh.creation.icosphere(subdivisions=3, radius=reach)
@@ -174,7 +175,7 @@ def _surroundings(design, background, rng):
     return found
 
 
-def clutter(rng, size=1024):
+def clutter(rng: np.random.Generator, size: int = 1024) -> np.ndarray:
     """(size, size) 0..1 picture of blobs, bars and squares, dark squares on white among them, that a detector must not believe."""
     picture = cv2.GaussianBlur(rng.random((size, size)).astype(np.float32), (0, 0), 30)
     picture = (picture - picture.min()) / np.ptp(picture) * 0.6

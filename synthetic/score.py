@@ -1,15 +1,19 @@
 """Sealed truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import beta
 
 from rig import json_file
 from rig.effects import BY_NAME
+from rig.entries import Entries
 from rig.outside import shown
 
 STRONG = 7.0  # signal-to-noise from which an effect must be found
+Group = tuple[str, list["Figure"], dict[str, int]]  # (effect or strength, detected .. covered, {taken for: times})
 BINS = (0.0, 3.0, 7.0, 20.0, 100.0, np.inf)  # of strength
 
 
@@ -32,7 +36,7 @@ class Found:
     parameters: dict
     rivals: list
 
-    def names(self):
+    def names(self) -> list[str]:
         """Effects that it leaves possible, its own first."""
         return [self.effect, *(name for name, _ in self.rivals)]
 
@@ -53,11 +57,11 @@ class Case:
     failed: str | None = None
 
     @property
-    def named(self):
+    def named(self) -> list[Found]:
         """Findings that name an effect of the catalogue."""
         return [f for f in self.found if f.effect != "unknown"]
 
-    def match(self, hidden):
+    def match(self, hidden: Hidden) -> Found | None:
         """The finding that answers a hidden effect: same place if there is one, else the same name, else one that allows it, or None."""
         for fits in (lambda f: (f.effect, f.place) == (hidden.effect, hidden.place), lambda f: f.effect == hidden.effect,
                      lambda f: (hidden.effect, hidden.place) in f.rivals, lambda f: hidden.effect in f.names()):
@@ -66,12 +70,12 @@ class Case:
                     return f
         return None
 
-    def wrong(self):
+    def wrong(self) -> list[Found]:
         """Findings whose effect was not hidden and which do not allow one that was."""
         names = {h.effect for h in self.hidden}
         return [f for f in self.named if not names & set(f.names())]
 
-    def seen_as(self, hidden):
+    def seen_as(self, hidden: Hidden) -> str:
         """What a hidden effect was taken for: the name of its finding, else of one that answers no other, else unknown or nothing."""
         own = self.match(hidden)
         if own is not None:
@@ -93,13 +97,13 @@ class Figure:
     goal: float | None = None
 
 
-def share(name, flags, goal=None):
+def share(name: str, flags: list[bool], goal: float | None = None) -> Figure:
     """Figure of how many flags are true."""
     flags = [bool(f) for f in flags]
     return Figure(name, sum(flags), len(flags), *clopper_pearson(sum(flags), len(flags)), goal)
 
 
-def clopper_pearson(hits, trials, level=0.95):
+def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     """(low, high) of the exact interval of a share. Source: Clopper and Pearson, Biometrika 26, 1934"""
     tail = (1 - level) / 2
     low = float(beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
@@ -107,7 +111,7 @@ def clopper_pearson(hits, trials, level=0.95):
     return low, high
 
 
-def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
+def case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None) -> Case:
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
     tree = json_file.load(truth, "truth of a trial")
     effects = tree.tables("effects")
@@ -122,7 +126,7 @@ def case(index, truth, diagnosis, seconds=float("nan"), failed=None):
     return Case(index, kind, disturbance, hidden, found, unexplained, after / floor if floor else float("nan"), seconds)
 
 
-def _hidden(table, strength):
+def _hidden(table: Entries, strength: float) -> Hidden:
     effect, parameters = table.text("effect"), table.table("parameters")
     if effect in BY_NAME:
         known = [p.name for p in BY_NAME[effect].parameters]
@@ -133,7 +137,7 @@ def _hidden(table, strength):
     return Hidden(effect, _place(table, effect, parameters.tree.get("other", -1)), parameters.tree, strength)
 
 
-def _found(table):
+def _found(table: Entries) -> Found:
     effect, parameters, inner = table.text("effect"), {}, table.table("parameters")
     for name in inner.tree:
         p = inner.table(name)
@@ -148,7 +152,7 @@ def _found(table):
     return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, rivals)
 
 
-def _place(table, effect, other):
+def _place(table: Entries, effect: str, other: float) -> str:
     """The place; of two markers exchanged with each other, either of which may be given, the lower."""
     place, kind = table.text("place"), BY_NAME.get(effect)
     if kind is None or not kind.discrete or not isinstance(other, int | float) or not other >= 0:
@@ -159,7 +163,7 @@ def _place(table, effect, other):
     return f"marker {min(int(number), int(other))}"
 
 
-def covered(hidden, found):
+def covered(hidden: Hidden, found: Found) -> list[bool]:
     """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
     out = []
     if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
@@ -178,7 +182,7 @@ def covered(hidden, found):
     return out
 
 
-def figures(cases):
+def figures(cases: list[Case]) -> list[Figure]:
     """[Figure] of a season, in the order of the page."""
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
@@ -205,7 +209,7 @@ def figures(cases):
     ]
 
 
-def medians(cases):
+def medians(cases: list[Case]) -> dict[str, float]:
     """{name: number}: size of the sets, held-out misfit over the noise floor, seconds; nan where there is none."""
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -214,14 +218,14 @@ def medians(cases):
     return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
 
 
-def by_effect(cases):
+def by_effect(cases: list[Case]) -> list[Group]:
     """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all trials that hide them."""
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
-def by_strength(cases):
+def by_strength(cases: list[Case]) -> list[Group]:
     """The same by strength, of effects of the catalogue."""
-    def group(h):
+    def group(h: Hidden) -> str | None:
         k = int(np.searchsorted(BINS, h.strength, side="right"))
         return f"{BINS[k - 1]:g} to {BINS[k]:g}" if h.effect in BY_NAME else None
 
@@ -229,7 +233,7 @@ def by_strength(cases):
     return [found[name] for low, high in zip(BINS[:-1], BINS[1:]) if (name := f"{low:g} to {high:g}") in found]
 
 
-def _grouped(cases, group):
+def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[Group]:
     rows = {}
     for c in cases:
         for h in c.hidden if c.failed is None else ():
@@ -242,7 +246,7 @@ def _grouped(cases, group):
              _count(c.seen_as(h) for c, h, _ in rows[name])) for name in sorted(rows)]
 
 
-def confusion(cases):
+def confusion(cases: list[Case]) -> dict[str, dict[str, int]]:
     """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for trials that hide no effect."""
     out = {name: counts for name, _, counts in by_effect(cases)}
     for c in cases:
@@ -254,7 +258,7 @@ def confusion(cases):
     return out
 
 
-def _count(names):
+def _count(names: Iterable[str]) -> dict[str, int]:
     out = {}
     for name in names:
         out[name] = out.get(name, 0) + 1

@@ -5,10 +5,12 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from rig.design import Sensor
+
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
-def expose(radiance, sensor, rng, samples=1):
+def expose(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, samples: int = 1) -> np.ndarray:
     """(height, width) uint8 (8 bit) or uint16 (12 bit) image of a radiance (samples height, samples width) float32 0..1.
 
     sensor : rig.design.Sensor; rng : numpy Generator; samples : of the radiance to the pixel each way. Optics act on the finer picture,
@@ -37,7 +39,7 @@ def expose(radiance, sensor, rng, samples=1):
 
 
 @lru_cache
-def _disc(radius):
+def _disc(radius: float) -> np.ndarray:
     """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers."""
     reach, fine = int(np.ceil(radius + 0.5)), 16
     at = (np.arange((2 * reach + 1) * fine) + 0.5) / fine - reach - 0.5
@@ -47,7 +49,7 @@ def _disc(radius):
 
 
 @lru_cache
-def _falloff(shape, lost):
+def _falloff(shape: tuple[int, ...], lost: float) -> np.ndarray:
     """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the radius."""
     v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in shape)
     return 1 - np.float32(lost / 2) * (v[:, None] ** 2 + u**2)

@@ -1,12 +1,17 @@
 """Cube nets and loose markers as sheets to print, true to scale, with a ruler on each (PDF by matplotlib)."""
 
 import io
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
+from rig.design import Design, Marker, Target
 from rig.errors import RigError
 from rig.files import write_bytes
 from vision.targets import marker_cells
@@ -19,7 +24,7 @@ TAB = 0.14  # of the edge, flaps to glue
 NET = {"+x": (0, 1), "+y": (1, 1), "-x": (2, 1), "-y": (3, 1), "+z": (3, 2), "-z": (1, 0)}
 
 
-def sheets(design, path, paper="A4"):
+def sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
     """Write a PDF with one sheet per target; returns a line of text for each.
 
     design : Design; paper : the smallest size to use. A net or a marker that is too large for it takes the next size. Raises
@@ -47,7 +52,7 @@ def sheets(design, path, paper="A4"):
     return said
 
 
-def _pages(target):
+def _pages(target: Target) -> Iterator[Any]:
     if target.edge is not None:
         edge = target.edge * 1e3
         flap = TAB * edge
@@ -59,7 +64,7 @@ def _pages(target):
                lambda axes, x, y, marker=marker, size=size: _loose(axes, x, y, target, marker, size))
 
 
-def _fitting(label, width, height, names):
+def _fitting(label: str, width: float, height: float, names: Iterable[str]) -> tuple[str, tuple[float, float]]:
     for name in names:
         for page in (PAPER[name], PAPER[name][::-1]):
             if width <= page[0] - 2 * MARGIN and height <= page[1] - 2 * MARGIN - FOOT:
@@ -67,7 +72,7 @@ def _fitting(label, width, height, names):
     raise RigError(f"{label} is {width:.0f} x {height:.0f} mm on the sheet, too large for A0")
 
 
-def _net(axes, x, y, target, edge, flap):
+def _net(axes: Axes, x: float, y: float, target: Target, edge: float, flap: float) -> None:
     ids = dict(target.faces)
     cells = {place: face for face, place in NET.items()}
     for (i, j), face in cells.items():
@@ -81,19 +86,19 @@ def _net(axes, x, y, target, edge, flap):
         _flap(axes, np.array([x + i * edge, y + j * edge]), edge, flap, side)
 
 
-def _flap(axes, corner, edge, flap, side):
+def _flap(axes: Axes, corner: np.ndarray, edge: float, flap: float, side: str) -> None:
     a, b, out = {"l": ((0, 1), (0, 0), (-1, 0)), "t": ((1, 1), (0, 1), (0, 1)), "b": ((0, 0), (1, 0), (0, -1))}[side]
     a, b, out = corner + edge * np.array(a), corner + edge * np.array(b), flap * np.array(out)
     inward = flap * (b - a) / edge
     axes.add_patch(Polygon([a, a + out + inward, b + out - inward, b], closed=True, fill=False, lw=0.3, ec="0.7", ls=":"))
 
 
-def _loose(axes, x, y, target, marker, size):
+def _loose(axes: Axes, x: float, y: float, target: Target, marker: Marker, size: float) -> None:
     axes.add_patch(Rectangle((x, y), size, size, fill=False, lw=0.3, ec="0.6"))
     _marker(axes, np.array([x + size / 2, y + size / 2]), marker.side * 1e3, target.dictionary, marker.id)
 
 
-def _marker(axes, middle, side, dictionary, number):
+def _marker(axes: Axes, middle: np.ndarray, side: float, dictionary: str, number: int) -> None:
     """Black square with its white cells, as vector shapes: one black square, so that no hairlines show between cells."""
     cells = marker_cells(dictionary, number)[1:-1, 1:-1]
     n = len(cells)
@@ -111,7 +116,7 @@ def _marker(axes, middle, side, dictionary, number):
             column += run + 1
 
 
-def _ruler(axes, page, label):
+def _ruler(axes: Axes, page: tuple[float, float], label: str) -> None:
     """A ruler of whole centimetres along the foot of the sheet."""
     length = min(100, 10 * int((page[0] - 2 * MARGIN) // 10))
     for mm in range(length + 1):

@@ -1,20 +1,30 @@
 """rig blind --season N --out DIR."""
 
+from __future__ import annotations
+
 import json
 import os
 import re
 import sys
 import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rig import json_file
 from rig.commands.output import Progress, add_force
 from rig.errors import FileError, MissingLibrary, RigError
 from rig.outside import read_bytes, shown
 from rig.processes import cores, end_waiting, finished
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from synthetic.score import Case
 
 ALONE = "import sys; from rig.processes import end_with; end_with(int(sys.argv[1])); "  # a child does not outlive this process
 DIAGNOSE = ALONE + "from rig.commands.sealed import forbid; from rig.cli import main; forbid(sys.argv[2]); sys.exit(main(sys.argv[3:]))"
@@ -25,7 +35,7 @@ MOST, MOST_FRAMES = 1_000_000, 10_000  # trials of a season, frames of a trial
 INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody stopped
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("--season", type=int, required=True, metavar="N", help="how many trials")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, seals, truth, diagnoses and score are kept there; "
@@ -43,7 +53,7 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Seal the trials, diagnose each in a process that cannot read the truth, unseal and score."""
     from synthetic import blind, score
 
@@ -69,7 +79,7 @@ def run(arguments):
     _report(out, settings, cases, score)
 
 
-def _settings(arguments, blind):
+def _settings(arguments: Namespace, blind: ModuleType) -> dict:
     """What makes a season: all that its recordings depend on."""
     from rig.effects import BY_NAME
 
@@ -88,7 +98,7 @@ def _settings(arguments, blind):
     return {"seed": arguments.seed, "frames": frames, **lists}
 
 
-def _indices(text, count):
+def _indices(text: str | None, count: int) -> list[int]:
     """The trials asked for: all of 1..count, or those of a list like 3,7-9."""
     if text is None:
         return list(range(1, count + 1))
@@ -101,7 +111,7 @@ def _indices(text, count):
     return sorted({i for ends in ranges for i in range(ends[0], ends[-1] + 1)})
 
 
-def _same_season(path, settings):
+def _same_season(path: Path, settings: dict) -> None:
     """Write what makes this season, or raise RigError where the folder holds another."""
     from rig.files import write_text
 
@@ -113,7 +123,7 @@ def _same_season(path, settings):
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
-def seal(out, index, settings):
+def seal(out: Path, index: int, settings: dict) -> None:
     """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
     from calib.diagnose.problems.platform.strength import strengths
     from rig import recording
@@ -131,13 +141,13 @@ def seal(out, index, settings):
     write_text(_seal(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
 
 
-def _sealed(out, index, settings):
+def _sealed(out: Path, index: int, settings: dict) -> None:
     done = finished([sys.executable, "-P", "-c", SEAL, str(os.getpid()), json.dumps([out, index, settings])], _environment())
     if done.returncode:
         raise RigError(f"trial {index} could not be sealed: {done.stderr.strip() or 'stopped'}")
 
 
-def _diagnosed(out, index):
+def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     """(index, seconds, error or None) of the diagnosis of one trial, in a process to which the truth is closed."""
     from rig.files import write_text
 
@@ -157,12 +167,12 @@ def _diagnosed(out, index):
     return index, seconds, error
 
 
-def _environment():
+def _environment() -> dict[str, str]:
     """Of a child: one thread, and this code before any other."""
     return {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def _seal(out, index):
+def _seal(out: Path, index: int) -> Path:
     return out / "seals" / f"{index:04d}.sha256"
 
 
@@ -191,7 +201,7 @@ def _record(out: Path, index: int) -> tuple[float, str | None] | None:
 
 
 @contextmanager
-def _pool(scheduler, jobs):
+def _pool(scheduler: str | None, jobs: int) -> Iterator[Any]:
     """What runs calls at the same time: threads that wait for processes here, or a Dask cluster. At its end what has not begun is dropped."""
     if scheduler is None:
         pool = ThreadPoolExecutor(jobs)
@@ -216,7 +226,7 @@ def _pool(scheduler, jobs):
         yield client.get_executor(pure=False)
 
 
-def _each(pool, function, calls, label):
+def _each(pool: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
     """Results of calls of a function as they come, with progress on standard error. Raises what a call raises."""
     progress, start = Progress(), time.monotonic()
     waiting = [pool.submit(function, *call) for call in calls]
@@ -229,7 +239,7 @@ def _each(pool, function, calls, label):
         yield result
 
 
-def _unsealed(out, index, score):
+def _unsealed(out: Path, index: int, score: ModuleType) -> Case:
     """score.Case of a trial. Raises RigError where the truth is not what was sealed."""
     truth, record = out / "truth" / f"{index:04d}.json", _record(out, index)
     if not truth.exists() or sha256(read_bytes(truth)).hexdigest() != _digest(out, index):
@@ -239,7 +249,7 @@ def _unsealed(out, index, score):
     return score.case(index, truth, diagnosis, seconds, failed)
 
 
-def _report(out, settings, cases, score):
+def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> None:
     from rig.commands.blind_page import season_page, tree
     from rig.files import write_text
 

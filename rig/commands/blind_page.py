@@ -1,17 +1,24 @@
 """The score of a season of blind trials, as a tree for JSON and as a page."""
 
+from __future__ import annotations
+
 import html
 import math
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from calib.report import page, table
 from synthetic import score
+
+if TYPE_CHECKING:
+    from synthetic.score import Case, Figure, Hidden
 
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 COLOURS = ("tab:green", "tab:olive", "tab:cyan", "tab:red", "tab:orange", "black")
 
 
-def tree(cases):
+def tree(cases: list[Case]) -> dict:
     """{figures, medians, by_effect, by_strength, confusion, trials} of Cases."""
     return {"figures": [asdict(f) for f in score.figures(cases)],
             "medians": {name: None if math.isnan(value) else value for name, value in score.medians(cases).items()},
@@ -22,7 +29,7 @@ def tree(cases):
                         "found": [{"effect": f.effect, "place": f.place, "rivals": [list(r) for r in f.rivals]} for f in c.found]} for c in cases]}
 
 
-def outcome(case, hidden):
+def outcome(case: Case, hidden: Hidden) -> str:
     """What became of a hidden effect: one of OUTCOMES."""
     found = case.match(hidden)
     if found is None:
@@ -33,7 +40,7 @@ def outcome(case, hidden):
     return "named and placed" if found.place == hidden.place else "named"
 
 
-def season_page(path, settings, cases):
+def season_page(path: Path, settings: dict, cases: list[Case]) -> None:
     """Write the page of a season: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
     said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
     parts = [f"<p>{len(cases)} sealed trials ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and "
@@ -49,23 +56,23 @@ def season_page(path, settings, cases):
     page(path, "Blind trials", parts)
 
 
-def _figure(f):
+def _figure(f: Figure) -> tuple:
     goal = "" if f.goal is None else f"{f.goal:.0%}"
     return (f.name, f.hits, f.trials, *((f"{f.hits / f.trials:.1%}", f"{f.low:.1%} to {f.high:.1%}") if f.trials else ("", "")), goal)
 
 
-def _rows(groups):
+def _rows(groups: list) -> list[dict]:
     return [{"name": name, **{f.name: [f.hits, f.trials] for f in figures}, "taken_for": taken} for name, figures, taken in groups]
 
 
-def _grouped(groups, heading):
+def _grouped(groups: list, heading: str) -> str:
     rows = [(name, figures[0].trials, *(f"{f.hits} of {f.trials}" if f.trials else "" for f in figures),
              ", ".join(f"{other} {count}" for other, count in sorted(taken.items(), key=lambda item: -item[1]) if other != name))
             for name, figures, taken in groups]
     return table((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
 
 
-def _strengths(cases):
+def _strengths(cases: list[Case]) -> Any:
     from matplotlib.figure import Figure
 
     names = sorted({h.effect for c in cases for h in c.hidden})
@@ -80,13 +87,13 @@ def _strengths(cases):
     return figure
 
 
-def _confusion(matrix):
+def _confusion(matrix: dict[str, dict[str, int]]) -> str:
     columns = sorted({name for counts in matrix.values() for name in counts}, key=lambda name: (name in ("unknown", "nothing"), name))
     return table(("hidden", *(name.replace("_", " ") for name in columns)),
                  [(name, *(counts.get(column, "") for column in columns)) for name, counts in sorted(matrix.items())])
 
 
-def _wrong(cases):
+def _wrong(cases: list[Case]) -> str:
     rows = []
     for c in cases:
         hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.3g})" for h in c.hidden) or c.disturbance or "nothing"

@@ -1,13 +1,27 @@
 """rig calibrate REC --out calibration.json."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def arguments(parser):
+    from calib.certify.certificate import Certified
+    from calib.certify.claim import Claim
+    from calib.pipeline import Sampled
+    from calib.store import Calibration
+    from rig.recording import Recording
+
+
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
@@ -16,7 +30,7 @@ def arguments(parser):
     checking.argument(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
     progress = Progress()
     progress("reading the recording", 0, 1)
@@ -40,10 +54,11 @@ def run(arguments):
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
-def _hexapod(recording, sampled, out, argv, rng, progress, joint):
+def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
+             joint: bool) -> None:
     from calib.certify.certificate import certify, promised
-    from calib.report import calibration_page
     from calib.certify.verdict import verdict
+    from calib.report import calibration_page
 
     samples = sampled.samples
     done = certify(samples, recording.design.mechanism, rng, progress)
@@ -67,7 +82,7 @@ def _hexapod(recording, sampled, out, argv, rng, progress, joint):
     _print_poses(sampled, done)
 
 
-def _arm(recording, sampled, out, argv, rng, progress):
+def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress) -> None:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
     from calib.certify.verdict import verdict
@@ -92,12 +107,12 @@ def _arm(recording, sampled, out, argv, rng, progress):
     _print_poses(sampled, done)
 
 
-def _print_poses(sampled, done):
+def _print_poses(sampled: Sampled, done: Certified) -> None:
     print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
           "them agree with one geometry")
 
 
-def _stored(out, recording, sampled, argv, done, claim):
+def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified, claim: Claim) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration
 

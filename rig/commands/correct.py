@@ -1,13 +1,14 @@
 """rig correct calibration.json --poses poses.csv --out commands.csv."""
 
 import sys
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import Unreachable
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("--poses", metavar="FILE", type=Path, required=True, help="frame,x,y,z,rx,ry,rz of the wanted poses")
@@ -17,14 +18,14 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Write the commands that give the wanted poses."""
     import numpy as np
 
     from calib import store
     from calib.correct.correction import reachable
-    from rig import writing
     from rig import recording as recordings
+    from rig import writing
 
     correction = store.load(arguments.calibration).correction
     wanted = recordings.load_poses(arguments.poses)

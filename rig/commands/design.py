@@ -1,10 +1,12 @@
 """rig design --radius R --out rig.toml."""
 
 
+from argparse import ArgumentParser, Namespace
+
 from rig.commands.output import add_force, file_or_stdout
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("--radius", type=float, required=True, metavar="M", help="of the circle of base joints, m")
     parser.add_argument("--cameras", type=int, default=3)
@@ -17,13 +19,13 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
     import re
 
     from rig.errors import RigError
-    from rig.layout import layout
     from rig.files import write_text
+    from rig.layout import layout
 
     size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
     if not size:

@@ -1,15 +1,24 @@
 """rig diagnose REC --out DIR [--calibration FILE]."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands import checking
 from rig.commands.output import Progress, add_force, add_recording
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    from calib.diagnose.report.schema import Report
+    from calib.store import Calibration
+    from rig.recording import Recording
+
 MENTIONED = 4  # remarks in the terminal
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
@@ -21,7 +30,7 @@ def arguments(parser):
     checking.argument(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
     from rig.effects.parse import asked
 
@@ -40,7 +49,7 @@ def run(arguments):
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
-def _arm(recording, arguments, calibration, out, progress):
+def _arm(recording: Recording, arguments: Namespace, calibration: Calibration | None, out: Path, progress: Progress) -> Report:
     """Report of an arm's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.diagnose import diagnose
     from calib.diagnose.report import arm
@@ -56,7 +65,7 @@ def _arm(recording, arguments, calibration, out, progress):
     return report
 
 
-def _platform(recording, arguments, calibration, out, progress):
+def _platform(recording: Recording, arguments: Namespace, calibration: Calibration | None, out: Path, progress: Progress) -> Report:
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
     from calib.diagnose.problems.platform.diagnose import diagnose
     from calib.diagnose.report import platform
@@ -70,7 +79,7 @@ def _platform(recording, arguments, calibration, out, progress):
     return report
 
 
-def _print(report):
+def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
     from calib.diagnose.report.words import line
 
@@ -90,7 +99,7 @@ def _print(report):
         print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
 
 
-def _known(path, recording):
+def _known(path: Path, recording: Recording) -> Calibration:
     """Calibration of a file. Raises RigError where it was made from this very recording, which would count twice."""
     from calib import store
 

@@ -1,6 +1,6 @@
 """What the commands that move struts share: the controller opened once, what it said, lengths and poses in words."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,8 @@ def design_of(path: Path, port: str | None) -> Design:
 
 
 @contextmanager
-def driving(design: Design, trace: Path | None, say, clock: Clock | None = None, stopping: bool = False) -> Iterator[Driver]:
+def driving(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
+            stopping: bool = False) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
     stopping : the struts are stopped before anything is asked of the controller"""
     c = design.controller

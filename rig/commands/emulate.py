@@ -1,14 +1,23 @@
 """rig emulate RIG.toml --protocol P [--fault F]: a controller that is not there, at a real port."""
 
+from __future__ import annotations
+
 import signal
 import tempfile
+from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    from rig.clock import Clock
+    from rig.commands.emulate_cameras import Cameras
+    from rig.emulator.emulator import Emulator
 
-def arguments(parser):
+
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     from rig.controller import PROTOCOLS
 
@@ -29,7 +38,7 @@ def arguments(parser):
     parser.add_argument("--seed", type=int, default=0, help="of the faults, the weather and the noise of images")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Serve until interrupted."""
     from rig.emulator.faults import KINDS
 
@@ -65,7 +74,7 @@ def run(arguments):
         kept.cleanup()
 
 
-def _cameras(arguments, followed):
+def _cameras(arguments: Namespace, followed: Path) -> Cameras:
     """The process that draws; its address is printed."""
     from rig.commands.emulate_cameras import Cameras
 
@@ -74,7 +83,7 @@ def _cameras(arguments, followed):
     return cameras
 
 
-def built(arguments, clock):
+def built(arguments: Namespace, clock: Clock) -> Emulator:
     """The Emulator that the arguments ask for."""
     import numpy as np
 
@@ -99,11 +108,11 @@ def built(arguments, clock):
     return emulators.of(design, faults, clock, start, arguments.speed)
 
 
-def _say(name):
+def _say(name: str) -> None:
     print(f"port {name}", flush=True)
 
 
-def _address(text, option):
+def _address(text: str, option: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdigit() or int(port) > 65535:
         raise RigError(f"{option} takes [HOST:]PORT, not {text!r}")

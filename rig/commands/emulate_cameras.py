@@ -1,9 +1,15 @@
 """The cameras of `rig emulate`, in a process of their own that follows the struts' history: drawing does not delay the controller's answers."""
 
+from __future__ import annotations
+
 import multiprocessing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 START = 300.0  # s for the process to be ready; compiling and OpenGL take some
 
@@ -32,7 +38,7 @@ class Cameras:
         self._process.join()
 
 
-def _draw(design: str, truth: str | None, history: str, address: tuple[str, int], seed: int, pipe) -> None:
+def _draw(design: str, truth: str | None, history: str, address: tuple[str, int], seed: int, pipe: Connection) -> None:
     """The process: says (True, name) or (False, why) through the pipe, then draws until it is ended."""
     import signal
 

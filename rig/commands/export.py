@@ -1,15 +1,22 @@
 """rig export calibration.json --format genhexkins|urdf|json|csv --out FILE."""
 
+from __future__ import annotations
+
 import sys
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    from rig.design import Arm, Free, Hexapod, Planar2
+
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
@@ -22,7 +29,7 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
     from rig.export import genhexkins, sheet, urdf
     from rig.files import write_text
@@ -53,7 +60,7 @@ def run(arguments):
     print(f"written: {arguments.out}")
 
 
-def _machine(path):
+def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], float | None]:
     """(mechanism, numbers of the axes that are corrected beyond it, the screws' lead in m or None) of a calibration.json or a rig.toml."""
     if path.suffix == ".toml":
         from rig import design_file

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from rig.design import Hexapod
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("--rig", metavar="RIG.toml", type=Path, default=Path("rig.toml"),
@@ -29,7 +30,7 @@ def arguments(parser):
     add_port(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
     import numpy as np
 

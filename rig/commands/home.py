@@ -1,15 +1,17 @@
 """rig home RIG.toml."""
 
+from argparse import ArgumentParser, Namespace
+
 from rig.commands.output import add_driving
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Home all struts and say where they stand."""
     from rig.commands.driving import design_of, driving, print_status
 

@@ -1,12 +1,22 @@
 """rig insitu REC --tolerance M RAD [--state FILE]."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def arguments(parser):
+    from calib.samples import Samples
+    from rig.recording import Recording
+
+
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with columns m1..m6 (m) in sensors.csv and [insitu] in rig.toml")
     parser.add_argument("--tolerance", nargs=2, type=float, default=(5e-5, 2e-4), metavar=("M", "RAD"),
@@ -15,7 +25,7 @@ def arguments(parser):
     parser.add_argument("--check", type=int, default=20, metavar="N", help="with --state: vision checks every Nth pose (default 20)")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Hold the measuring limbs against vision, say whether they pass, and learn from them where they do."""
     if min(*arguments.tolerance, arguments.check) <= 0:
         raise RigError("--tolerance and --check take positive numbers")
@@ -41,7 +51,7 @@ def run(arguments):
     return 0 if passed else 1
 
 
-def _print(found, source):
+def _print(found: Any, source: str) -> None:
     from calib.certify.insitu import AXES, MOVES
 
     print(f"measuring limbs less vision ({source}), {found.n} poses, each by limbs fitted to other stretches; um and urad:")
@@ -55,7 +65,7 @@ def _print(found, source):
               f"{f'{low:.2f} .. {high:.2f}':>24}{found.surely[i] * 1e6:15.2f}{found.tolerance[i] * 1e6:11.1f}{moved:>14}  {said}")
 
 
-def _learn(arguments, recording, limbs, frames, lengths, samples, state):
+def _learn(arguments: Namespace, recording: Recording, limbs: Any, frames: np.ndarray, lengths: np.ndarray, samples: Samples, state: Path) -> int:
     """Learn the struts from the limbs' poses, vision checking every so often; the exit status."""
     import numpy as np
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 from rig.commands.output import add_driving
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
     parser.add_argument("--strut", type=int, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
@@ -23,7 +24,7 @@ def arguments(parser):
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Move struts a little, checked as any move."""
     import numpy as np
 

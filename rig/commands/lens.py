@@ -1,5 +1,6 @@
 """rig lens IMAGES --board BOARD."""
 
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.commands.output import Progress, add_force
@@ -8,7 +9,7 @@ from rig.errors import RigError
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("images", metavar="IMAGES", type=Path, nargs="+", help="photographs of the board, or a folder of them")
     parser.add_argument("--board", required=True, help="charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m), for one "
@@ -19,7 +20,7 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Calibrate one camera and print its block for rig.toml; what is said of it goes to the error output."""
     import sys
     from dataclasses import replace
@@ -56,11 +57,11 @@ def run(arguments):
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 
-def _model(terms):
+def _model(terms: int) -> str:
     return f"{terms} distortion terms" if terms else "no distortion"
 
 
-def _paths(given):
+def _paths(given: list[str]) -> list[Path]:
     """Photographs named, or lying in a folder named. Raises RigError for what is not there and for a folder without any."""
     paths = []
     for path in given:

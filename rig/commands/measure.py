@@ -1,13 +1,21 @@
 """rig measure REC --out DIR."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking
 from rig.commands.output import Progress, add_force, add_recording, print_unsolved
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    from rig.design import Camera
+    from vision.measure import Measurement
 
-def arguments(parser):
+
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="gets poses.csv, corners.csv, rig.toml and report.html")
@@ -19,7 +27,7 @@ def arguments(parser):
     checking.argument(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Measure a recording and write what was measured."""
     from rig import provenance, writing
     from rig import recording as recordings
@@ -67,7 +75,7 @@ def run(arguments):
     print(f"written: {arguments.out}/poses.csv, corners.csv, rig.toml; look at {arguments.out}/report.html")
 
 
-def _print_verdict(measured, held, uncertainties, total):
+def _print_verdict(measured: Measurement, held: Any, uncertainties: tuple[float, float], total: int) -> None:
     """Print how much was measured and how well, the rest follows."""
     print(f"measured: {len(measured.frames)} of {total} frames solved, poses to {uncertainties[0] * 1e3:.4f} mm and {uncertainties[1] * 1e3:.4f} "
           "mrad "
@@ -77,7 +85,7 @@ def _print_verdict(measured, held, uncertainties, total):
           f"{held.rms:.3f} px RMS over {held.corners} corners" if held else f"no held-out figure: {held.reason}")
 
 
-def _print_cameras(stated_cameras, cameras):
+def _print_cameras(stated_cameras: tuple[Camera, ...], cameras: tuple[Camera, ...]) -> None:
     """Print how far each camera stands from where its owner has it."""
     from rig.pose import vector
 
@@ -87,7 +95,7 @@ def _print_cameras(stated_cameras, cameras):
               f"where rig.toml has it, focal length {camera.matrix[0, 0] - stated.matrix[0, 0]:+.2f} px")
 
 
-def _print_places(moved):
+def _print_places(moved: Any) -> None:
     """Print what adjusting the markers' places did."""
     import numpy as np
 

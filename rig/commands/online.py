@@ -1,5 +1,8 @@
 """rig online REC [--state FILE]."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,20 +10,23 @@ from rig.commands.output import Progress, add_recording, print_unsolved, read_re
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    from calib.online.change_detection import Change
+    from calib.store import Calibration
+    from rig.design import Arm, Free, Hexapod, Planar2
     from rig.provenance import Marks
     from rig.recording import Recording
 
 MANY = 6  # changes beyond which they are not believed to be steps
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
     progress = Progress()
     progress("reading the recording", 0, 1)
@@ -83,11 +89,11 @@ def run(arguments):
         print(f"written: {arguments.state}")
 
 
-def _counted(changes):
+def _counted(changes: int) -> str:
     return "nothing jumped" if not changes else f"{changes} change{'s' if changes > 1 else ''}"
 
 
-def not_learnt(recording: "Recording", of: "Marks", learnt: set[str]) -> list[int]:
+def not_learnt(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
     """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
 
     Raises RigError where none is left: what is learnt twice counts twice
@@ -103,7 +109,7 @@ def not_learnt(recording: "Recording", of: "Marks", learnt: set[str]) -> list[in
     return [frame for frame in frames.tolist() if frame not in set(again)]
 
 
-def _calibration(path, mechanism):
+def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calibration:
     """Calibration of a hexapod. Raises RigError for another mechanism's."""
     from calib import store
 
@@ -113,7 +119,7 @@ def _calibration(path, mechanism):
     return found
 
 
-def said(change, frame):
+def said(change: Change, frame: int) -> str:
     """A Change in words; frame : number of the first frame after it."""
     if change.kind == "frame":
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))

@@ -1,16 +1,20 @@
 """What the commands share: where results go, bars on a terminal, and figures in mm and mrad."""
 
+from __future__ import annotations
+
 import sys
 import threading
 import time
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
+    from calib.certify.certificate import HeldOut
     from rig.recording import Recording
+    from vision.measure import Measurement
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -18,7 +22,7 @@ SEED = 0  # of the bootstrap; results are the same from run to run
 class Progress:
     """Bars on a terminal, nothing in a pipe and nothing in the first second: called with (label, done, of)."""
 
-    def __init__(self, silent: float = 1.0):
+    def __init__(self, silent: float = 1.0) -> None:
         """silent : s, from now, in which nothing is shown: who is quick needs no bar"""
         self.bar, self.label, self.timer, self.from_then = None, None, None, time.monotonic() + silent
 
@@ -46,7 +50,7 @@ class Progress:
         self.bar, self.label, self.timer = None, None, None
 
 
-def _show(bar) -> None:
+def _show(bar: Any) -> None:
     bar.delay = 0  # shown from here on, so there is something to clear
     bar.refresh()
 
@@ -57,7 +61,7 @@ def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
 
 
-def read_recording(arguments: Namespace) -> "Recording":
+def read_recording(arguments: Namespace) -> Recording:
     """The Recording of the arguments that `add_recording` adds; images left out are named on standard error."""
     from rig import recording as recordings
 
@@ -90,7 +94,7 @@ def add_port(parser: ArgumentParser) -> None:
     parser.add_argument("--trace", metavar="FILE", type=Path, help="write every byte there, with its time")
 
 
-def print_comparison(held, title):
+def print_comparison(held: HeldOut, title: str) -> None:
     """Print a HeldOut as a table in mm and mrad."""
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held.after.n}, {held.configurations} distinct configurations:")
@@ -105,11 +109,11 @@ def print_comparison(held, title):
           f"uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
 
 
-def _cell(value):
+def _cell(value: float) -> str:
     return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
 
 
-def print_unsolved(measured):
+def print_unsolved(measured: Measurement | None) -> None:
     """Print the frames of a Measurement that have no pose, with their reasons."""
     if measured is None or not measured.unsolved:
         return

@@ -1,15 +1,24 @@
 """rig plan RIG.toml --for parameters --out FILE, or rig plan RIG.toml --separate EFFECT EFFECT --out FILE."""
 
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, Progress, add_force, file_or_stdout
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from rig.design import Arm, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
 MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     asked = parser.add_mutually_exclusive_group(required=True)
@@ -27,12 +36,12 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Choose configurations, write them, and say what they make visible."""
     (_separate if arguments.separate else PURPOSES[arguments.purpose])(arguments)
 
 
-def _separate(arguments):
+def _separate(arguments: Namespace) -> None:
     """Try the parts of plans alone and two by two, and write the one by which the effects differ most."""
     from itertools import combinations
 
@@ -70,7 +79,7 @@ def _separate(arguments):
     print(f"best: {best.plan} (rig simulate --plan {best.plan} tries it); written: {arguments.out}")
 
 
-def _parameters(arguments):
+def _parameters(arguments: Namespace) -> None:
     from rig import design_file, writing
 
     mechanism = design_file.load(arguments.design).mechanism
@@ -113,18 +122,18 @@ def _parameters(arguments):
     print(f"written: {arguments.out}")
 
 
-def _along(root, direction):
+def _along(root: np.ndarray, direction: np.ndarray) -> float:
     """m, standard error along a direction (42,) for the information's square root."""
     import numpy as np
 
     return float(np.linalg.norm(np.linalg.solve(root.T, direction)))
 
 
-def _sigma(value):
+def _sigma(value: float) -> str:
     return f"{value * 1e6:9.2f} um" if value < 1e-2 else "   unseen   "
 
 
-def _given(path, mechanism):
+def _given(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> np.ndarray:
     """(k, 6) m configurations visited: of a recording's frames, or of a table."""
     from rig import recording, table
 

@@ -1,16 +1,28 @@
 """rig posture ARM.toml --pose x,y,z,rx,ry,rz --force y --norm 2."""
 
+from __future__ import annotations
+
 import json
 import re
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, add_force, file_or_stdout
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    import numpy as np
+    from scipy.spatial.transform import RigidTransform
+
+    from rig.design import Arm
+    from rig.posture.measure import Wish
+    from rig.posture.search import Found
+
 STARTS = 24  # joint solutions of the pose from which self-motions are looked for
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser._negative_number_matcher = re.compile(r"^-[\d.]")  # so that a value may begin with a minus: --pose -0.4,0.1,..
     parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm, or the name of a shipped one: panda, puma560")
@@ -29,7 +41,7 @@ def arguments(parser):
     parser.add_argument("--json", action="store_true", help="print JSON (m, rad) instead of a table")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
     import numpy as np
 
@@ -73,7 +85,7 @@ def run(arguments):
     print(json.dumps(tree, indent=1) if arguments.json else _table(tree, arguments))
 
 
-def _arm(text):
+def _arm(text: str) -> Arm:
     from importlib.resources import files
 
     from rig import design_file
@@ -88,7 +100,7 @@ def _arm(text):
     return mechanism
 
 
-def _directions(arguments):
+def _directions(arguments: Namespace) -> tuple[str, ...]:
     from rig.posture.measure import DIRECTIONS
 
     chosen = []
@@ -102,7 +114,7 @@ def _directions(arguments):
     return tuple(name for name in DIRECTIONS if name in chosen)
 
 
-def _numbers(texts, count, option):
+def _numbers(texts: list[str], count: int, option: str) -> np.ndarray:
     try:
         numbers = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
     except ValueError:
@@ -112,7 +124,7 @@ def _numbers(texts, count, option):
     return numbers
 
 
-def _starts(first, wanted, arm):
+def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
     """(k, n) joint solutions of a pose within the limits: the first, and others far and wide."""
     import numpy as np
     from scipy.spatial.transform import RigidTransform
@@ -126,7 +138,7 @@ def _starts(first, wanted, arm):
     return np.vstack([first, q[inside]])
 
 
-def _write(out, arguments, arm, now, start, goal):
+def _write(out: Path, arguments: Namespace, arm: Arm, now: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
     from rig import writing
     from rig.posture import motion
 
@@ -136,7 +148,7 @@ def _write(out, arguments, arm, now, start, goal):
     writing.write_table(out, ("t", *arm.axes), lines)
 
 
-def _tree(arm, wish, first, starts, found, name, k):
+def _tree(arm: Arm, wish: Wish, first: np.ndarray, starts: np.ndarray, found: dict[str, Found], name: str, k: int) -> dict:
     from rig.posture import measure
 
     best = found[name]
@@ -154,7 +166,7 @@ def _tree(arm, wish, first, starts, found, name, k):
     return tree
 
 
-def _table(tree, arguments):
+def _table(tree: dict, arguments: Namespace) -> str:
     import numpy as np
 
     lines = [f"joint angles, degrees: {', '.join(f'{angle:.4f}' for angle in np.degrees(tree['q']))}",

@@ -1,11 +1,12 @@
 """rig print RIG.toml --out sheets.pdf."""
 
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.commands.output import add_force, file_or_stdout
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("design", metavar="RIG.toml", type=Path)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="a PDF, a sheet for each cube")
@@ -13,7 +14,7 @@ def arguments(parser):
     add_force(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Write the sheets."""
     from rig import design_file
 

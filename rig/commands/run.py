@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import signal
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 KINDS = ("jump", "camera", "covered", "unseen", "drift", "limbs")
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
     parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
@@ -49,7 +49,7 @@ def arguments(parser):
                         help="show the run on a page of this computer, with a button to stop it")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from rig.cameras.settled import settling
     from rig.commands.driving import design_of

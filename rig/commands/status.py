@@ -1,14 +1,16 @@
 """rig status RIG.toml."""
 
+from argparse import ArgumentParser, Namespace
+
 from rig.commands.output import add_driving
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Say what the controller says; nothing moves."""
     from rig.commands.driving import design_of, driving, print_status
 

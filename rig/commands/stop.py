@@ -1,16 +1,18 @@
 """rig stop RIG.toml."""
 
+from argparse import ArgumentParser, Namespace
+
 from rig.commands.output import add_driving
 
 PATIENCE = 10.0  # s for a process that drives to let go
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Stop the struts, and whatever process moves them; its run can be resumed."""
     from rig.clock import SystemClock
     from rig.commands.driving import design_of, driving, print_status

@@ -1,14 +1,27 @@
 """rig verify CALIBRATION REC [--json] [--wanted poses.csv]."""
 
+from __future__ import annotations
+
 import json
 import sys
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, Progress, add_recording, print_comparison, print_unsolved, read_recording
 from rig.errors import RigError
 
+if TYPE_CHECKING:
+    from calib.certify.certificate import Figures, HeldOut
+    from calib.certify.claim import Claim
+    from calib.pipeline import Sampled
+    from calib.samples import Samples
+    from calib.store import Calibration
+    from rig.observed import Poses
+    from rig.recording import Recording
 
-def arguments(parser):
+
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording(parser)
@@ -16,7 +29,7 @@ def arguments(parser):
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Hold a calibration against a recording and print the figures."""
     from calib import store
     from rig import recording as recordings
@@ -31,8 +44,8 @@ def run(arguments):
 
     from calib.certify.held_out import compare, errors_of
     from calib.certify.configurations import labels, ranges
-    from calib.pipeline import sample_recording
     from calib.certify.verdict import verified
+    from calib.pipeline import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
     samples = sampled.samples
@@ -59,7 +72,7 @@ def run(arguments):
     print_unsolved(sampled.measurement)
 
 
-def _driven(calibration, recording, samples, wanted):
+def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> tuple[Figures, tuple[float, float]]:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
     from calib.arms import certify
     from calib.certify.certificate import model_covariance
@@ -76,10 +89,10 @@ def _driven(calibration, recording, samples, wanted):
     return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
 
 
-def _verification(held, same, sampled, driven, claim):
+def _verification(held: HeldOut, same: list[int], sampled: Sampled, driven: tuple[Figures, tuple[float, float]] | None, claim: Claim | None) -> dict:
     from calib.certify.verdict import kept
 
-    def side(figures):
+    def side(figures: Figures) -> dict:
         names = ("rms", "p95", "max", "mean")
         position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])
         return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}

@@ -1,11 +1,12 @@
 """rig view REC --frame N."""
 
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, read_recording
 
 
-def arguments(parser):
+def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--frame", type=int, required=True)
@@ -15,7 +16,7 @@ def arguments(parser):
     parser.add_argument("--enlarge", type=float, default=200.0, help="how much longer than they are residuals are drawn (default 200)")
 
 
-def run(arguments):
+def run(arguments: Namespace) -> None:
     """Draw one frame."""
     import webbrowser
 

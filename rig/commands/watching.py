@@ -1,7 +1,11 @@
 """Who looks on at a run, from its arguments: measuring, learning, the terminal, the page."""
 
-from collections.abc import Iterator
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from calib import store
 from calib.online.watch import Learner
@@ -11,8 +15,16 @@ from rig.commands.terminal import terminal
 from rig.errors import RigError
 from vision.reading.live import Live
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looking:
+    from rig.clock import Clock
+    from rig.design import Design
+    from rig.steps import Step
+
+
+def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stop_on: frozenset[str],
+               halt: Callable[[], None]) -> Looking:
     """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
     calibration = store.load(arguments.calibration) if arguments.calibration else None
     if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
@@ -26,7 +38,7 @@ def looking_of(arguments, design, planned, start, clock, stop_on, halt) -> Looki
 
 
 @contextmanager
-def displays_of(arguments, looking: Looking) -> Iterator[list[Display]]:
+def displays_of(arguments: Namespace, looking: Looking) -> Iterator[list[Display]]:
     """The displays that the arguments ask for; the page is served while the context lasts."""
     if arguments.page is None:
         yield [terminal()]

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import fields
 from itertools import product
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -48,21 +48,26 @@ class Effect:
     """
 
     __slots__ = ()
-    name = ""
-    stage = ""
-    places: tuple[str, ...] = ()
-    parameters: tuple[Parameter, ...] = ()
-    experiment = ""
-    action = ""
-    on_pose = False
-    sudden = False
-    discrete = False
-    moving = False
-    rolls = False
-    form: str | None = None
-    own_axis = 0
-    once = False
-    view = "displacement"
+    name: ClassVar[str] = ""
+    stage: ClassVar[str] = ""
+    places: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    experiment: ClassVar[str] = ""
+    action: ClassVar[str] = ""
+    on_pose: ClassVar[bool] = False
+    sudden: ClassVar[bool] = False
+    discrete: ClassVar[bool] = False
+    moving: ClassVar[bool] = False
+    rolls: ClassVar[bool] = False
+    form: ClassVar[str | None] = None
+    own_axis: ClassVar[int] = 0
+    once: ClassVar[bool] = False
+    view: ClassVar[str] = "displacement"
+
+    if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
+        place: str
+
+        def __init__(self, place: str, **values: Any) -> None: ...
 
     def needs(self, motion: Motion) -> str | None:
         """What a machine or its recording lacks for this effect, in words that follow its name; None where it has all."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rig.clock import Clock
-from rig.design import Design
+from rig.design import Design, Hexapod, Planar2
 from rig.emulator.axes import Axes
 from rig.emulator.emulator import Emulator
 from rig.emulator.faults import Faults
@@ -46,7 +46,7 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 
-def home_lengths(mechanism) -> np.ndarray:
+def home_lengths(mechanism: Hexapod | Planar2) -> np.ndarray:
     """(n,) m of a Hexapod's home pose; of two struts in the plane the middle of their ranges."""
     if mechanism.kind != "hexapod":
         return mechanism.strut_range.mean(axis=1)

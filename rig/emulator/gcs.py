@@ -1,6 +1,7 @@
 """A PI controller at the far end of a line: GCS 2.0 as its manuals have it, closed-loop axes in mm."""
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -187,6 +188,6 @@ class GCS(Emulator):
         self.error = 216
 
 
-def _lines(texts) -> str:
+def _lines(texts: Iterable[str]) -> str:
     """An answer: a blank before every line feed but the last."""
     return " \n".join(texts) + "\n"

@@ -7,6 +7,7 @@ Source: genhexkins(9), offset(9) of LinuxCNC.
 
 import numpy as np
 
+from rig.design import Hexapod
 from rig.effects.cardans import cardan_twist
 from rig.errors import RigError
 
@@ -16,7 +17,7 @@ CONVERGED = 1e-12  # m; what its iteration may leave of a strut
 STEEPEST = np.pi / 2 - 0.05  # rad; genhexkins takes the arc sine of a joint's twist, so a quarter turn is the end
 
 
-def text(hexapod, units="mm", lead=None, gain=0.0):
+def text(hexapod: Hexapod, units: str = "mm", lead: float | None = None, gain: float = 0.0) -> str:
     """HAL settings of a Hexapod.
 
     units : of the machine, "mm" or "m"; lead : m per revolution of the screws; gain : share of a cardan's twist that turns the nut
@@ -56,10 +57,10 @@ def text(hexapod, units="mm", lead=None, gain=0.0):
     return "\n".join(lines) + "\n"
 
 
-def _vectors(name, points):
+def _vectors(name: str, points: np.ndarray) -> list[str]:
     return [f"setp genhexkins.{name}.{i}.{axis} {value:.{DIGITS}f}" for i, point in enumerate(points) for axis, value in zip("xyz", point)]
 
 
-def _tangential(joints):
+def _tangential(joints: np.ndarray) -> np.ndarray:
     axes = np.stack([-joints[:, 1], joints[:, 0], np.zeros(len(joints))], axis=1)
     return axes / np.linalg.norm(axes, axis=1, keepdims=True)

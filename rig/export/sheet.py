@@ -2,13 +2,14 @@
 
 import json
 
+from rig.design import Arm, Hexapod
 from rig.pose import vector
 
 HEXAPOD = ("strut", "base_x", "base_y", "base_z", "platform_x", "platform_y", "platform_z", "zero", "shortest", "longest")
 ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest")
 
 
-def as_json(mechanism):
+def as_json(mechanism: Hexapod | Arm) -> str:
     """JSON of a Hexapod or an Arm."""
     if mechanism.kind == "hexapod":
         position, rotvec = vector(mechanism.home)[:3], vector(mechanism.home)[3:]
@@ -20,7 +21,7 @@ def as_json(mechanism):
     return json.dumps({"schema": "geometry/1", "kind": mechanism.kind, "units": "m, rad", **tree}, indent=1) + "\n"
 
 
-def as_csv(mechanism):
+def as_csv(mechanism: Hexapod | Arm) -> str:
     """CSV of a Hexapod, a row per strut, or of an Arm, a row per joint."""
     if mechanism.kind == "hexapod":
         header, parts = HEXAPOD, zip(mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range)

@@ -7,12 +7,13 @@ fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <join
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.design import Arm
 from rig.pose import pose
 
 
-def text(arm, name="arm"):
+def text(arm: Arm, name: str = "arm") -> str:
     """URDF of an Arm: links base, link_1 .. link_n, platform; joints named as commands.csv heads its columns.
 
     An Arm that has a base (frame of poses to its own) or a tool (its last frame to the platform) carries them as fixed joints.
@@ -32,12 +33,12 @@ def text(arm, name="arm"):
     return "\n".join(lines) + "\n"
 
 
-def _origin(T):
+def _origin(T: RigidTransform) -> str:
     numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, _rpy(T.rotation))]
     return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
 
 
-def _rpy(rotation):
+def _rpy(rotation: Rotation) -> np.ndarray:
     """(3,) rad: turns about the fixed axes x, y, z, exact to rounding also where the second is a quarter turn."""
     R = rotation.as_matrix()
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))

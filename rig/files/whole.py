@@ -6,6 +6,7 @@ import secrets
 import stat
 import sys
 from contextlib import suppress
+from os import PathLike
 from pathlib import Path
 
 from rig.errors import FileError
@@ -14,12 +15,12 @@ STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
 
 
-def write_text(path, text: str) -> None:
+def write_text(path: str | PathLike[str], text: str) -> None:
     """Write a text file (UTF-8), whole or not at all; raises as `write_bytes` does."""
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_bytes(path, data: bytes) -> None:
+def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write a file, whole or not at all, and have it on the disk before returning.
 
     Links are followed, a file that is there keeps its mode and owner. What is no regular file (a device, a FIFO) and what this
@@ -46,7 +47,7 @@ def write_bytes(path, data: bytes) -> None:
         raise FileError(path, f"cannot be written: {error.strerror or error}") from None
 
 
-def status(path) -> os.stat_result | None:
+def status(path: str | PathLike[str]) -> os.stat_result | None:
     """What stands at a path, links followed, or None for nothing (or a link to nothing). Raises OSError for what cannot be asked."""
     try:
         return os.stat(path)
@@ -54,7 +55,7 @@ def status(path) -> os.stat_result | None:
         return None
 
 
-def is_straight(path) -> bool:
+def is_straight(path: str | PathLike[str]) -> bool:
     """Whether a path is written straight to, being no regular file and no folder, or this process's own standard output or error."""
     try:
         there = status(path)
@@ -72,7 +73,7 @@ def _own_stream(there: os.stat_result | None) -> int | None:
     return None
 
 
-def _straight(path, data: bytes) -> None:
+def _straight(path: str | PathLike[str], data: bytes) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_NOCTTY | os.O_CLOEXEC)
     try:
         _all(descriptor, data)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from rig.errors import RigError
@@ -92,7 +93,7 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     page: PageServer
 
-    def handle_error(self, request, client_address) -> None:
+    def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that went away is no error of the run's."""
 
 

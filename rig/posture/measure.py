@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 
 DIRECTIONS = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -29,7 +30,7 @@ class Wish:
     whole: str = "det"
     length: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         unknown = [name for name in self.directions if name not in DIRECTIONS]
         if unknown or len(set(self.directions)) < len(self.directions):
             raise ValueError(f"directions must be distinct ones of {', '.join(DIRECTIONS)}, not {', '.join(self.directions)}")
@@ -37,28 +38,28 @@ class Wish:
             raise ValueError(f"expected norm 2 or inf, whole 'det' or 'norm' and a positive length, got {self.norm}, {self.whole!r}, {self.length}")
 
     @property
-    def rows(self):
+    def rows(self) -> list[int]:
         """Indices of the directions among DIRECTIONS."""
         return [DIRECTIONS.index(name) for name in self.directions]
 
 
-def scaled_jacobian(q, arm, wish):
+def scaled_jacobian(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     """(..., 6, n) Jacobian in the axes of poses, m/rad, moments' rows weighed by the wish's length."""
     return mechanism.jacobian(q, arm, "base") * np.repeat([1.0, wish.length], 3)[:, None]
 
 
-def value(q, arm, wish):
+def value(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     """(...,) the measure at joint angles q (..., n) rad."""
     return _value(scaled_jacobian(q, arm, wish), wish)
 
 
-def columns(q, arm, wish):
+def columns(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     """(..., k) norm of each chosen direction's column of J^T (all six where none is chosen), m."""
     J = scaled_jacobian(q, arm, wish)
     return np.linalg.norm(J[..., wish.rows or list(range(6)), :], ord=wish.norm, axis=-1)
 
 
-def gradient(q, arm, wish):
+def gradient(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are chosen)."""
     J = scaled_jacobian(q, arm, wish)
     H = _jacobian_derivative(q, arm) * np.repeat([1.0, wish.length], 3)[:, None, None]
@@ -79,7 +80,7 @@ def gradient(q, arm, wish):
     return np.einsum("...a,...ak->...k", sign[..., 0], np.take_along_axis(H, joint[..., None], axis=-2)[..., 0, :])
 
 
-def _value(J, wish):
+def _value(J: np.ndarray, wish: Wish) -> np.ndarray:
     if wish.directions:
         return np.linalg.norm(J[..., wish.rows, :], ord=wish.norm, axis=-1).min(axis=-1)
     if wish.whole == "det":
@@ -87,7 +88,7 @@ def _value(J, wish):
     return np.linalg.norm(np.swapaxes(J, -1, -2), ord=wish.norm, axis=(-2, -1))
 
 
-def _norm_slope(v, norm):
+def _norm_slope(v: np.ndarray, norm: float) -> np.ndarray:
     if norm == 2:
         return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)
     out = np.zeros(v.shape)
@@ -96,7 +97,7 @@ def _norm_slope(v, norm):
     return out
 
 
-def _adjugate(A):
+def _adjugate(A: np.ndarray) -> np.ndarray:
     """(..., 6, 6) of symmetric A: det(A) inv(A), also where A is singular."""
     values, vectors = np.linalg.eigh(A)
     count = values.shape[-1]
@@ -104,7 +105,7 @@ def _adjugate(A):
     return (vectors * others[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
-def _jacobian_derivative(q, arm):
+def _jacobian_derivative(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., 6, n, n) derivative of the Jacobian (axes of poses), its column i, with joint k.
 
     A joint k before i turns axis and lever with it; one behind i only moves the hand.

@@ -6,6 +6,7 @@ Source: patent on force measurement with redundant manipulators, [0021], [0022].
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
+from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.posture import search
@@ -14,7 +15,7 @@ STEPS = 200  # of a motion on the way
 NEAR = 1e-9  # rad; end of a motion
 
 
-def at_the_end(q, goal, arm):
+def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm) -> np.ndarray:
     """(k, n) rad: the self-motion from q (n,) to goal (n,), hand held still. Raises RigError where none within the limits leads there."""
     if np.abs(goal - q).max() < NEAR:
         return np.array([q])
@@ -29,7 +30,7 @@ def at_the_end(q, goal, arm):
     return np.vstack([rows, goal])
 
 
-def on_the_way(q, goal, arm, steps=STEPS):
+def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
     """(k, n) rad from q (n,) to goal (n,): the hand goes straight and turns evenly, the elbow turns towards the goal meanwhile.
 
     What the elbow has not done when the hand arrives, it does at the end. Raises RigError where the way leaves the joint limits
@@ -54,6 +55,6 @@ def on_the_way(q, goal, arm, steps=STEPS):
     return np.vstack([rows, at_the_end(rows[-1], goal, arm)[1:]])
 
 
-def timed(rows, speed):
+def timed(rows: np.ndarray, speed: float) -> np.ndarray:
     """(k,) s at which rows (k, n) rad are reached when the fastest joint turns at speed (rad/s)."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(rows, axis=0)).max(axis=1) / speed, 1e-6))])

@@ -5,14 +5,17 @@ traced densely from end to end, which says how good the others' answer is.
 Source: patent on force measurement with redundant manipulators, [0016], [0018]-[0020], [0024].
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference
 from rig.posture import measure
+from rig.posture.measure import Wish
 
 HELD = {"pose": 6, "position": 3}  # rows of the Jacobian that must not move
 STILL = 1e-11  # m and rad, to which the hand is brought back after a step
@@ -38,7 +41,7 @@ class Found:
     steps: int
 
 
-def gradient_search(q, arm, wish, held="pose", above=None):
+def gradient_search(q: np.ndarray, arm: Arm, wish: Wish, held: str = "pose", above: float | None = None) -> Found:
     """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each step.
 
     held : "pose", or "position" where the hand may turn; above : a limit at which it suffices to stop
@@ -71,7 +74,7 @@ def gradient_search(q, arm, wish, held="pose", above=None):
     return _found(q, now, start, first, arm, steps)
 
 
-def sampled_search(q, arm, wish, rng, held="pose", count=200, spread=0.6):
+def sampled_search(q: np.ndarray, arm: Arm, wish: Wish, rng: np.random.Generator, held: str = "pose", count: int = 200, spread: float = 0.6) -> Found:
     """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space, kept where
     joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
     q = _starts(q, arm, held)
@@ -90,7 +93,7 @@ def sampled_search(q, arm, wish, rng, held="pose", count=200, spread=0.6):
     return _found(best, now, start, first, arm, count)
 
 
-def global_search(q, arm, wish, held="pose"):
+def global_search(q: np.ndarray, arm: Arm, wish: Wish, held: str = "pose") -> Found:
     """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits or round.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not one-dimensional
@@ -109,14 +112,14 @@ def global_search(q, arm, wish, held="pose"):
     return _found(polished.q, polished.value, start, q, arm, steps + polished.steps)
 
 
-def trace(q, arm, held="pose"):
+def trace(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
     """(k, n) rad, the self-motion through one posture q (n,) from end to end (or once round), every TRACE rad."""
     q = _starts(np.atleast_2d(q), arm, held)
     ahead, behind = [[walker[0] for _, walker in _walk(q, arm, held, side)] for side in (1.0, -1.0)]
     return np.array([*behind[::-1], q[0], *ahead])
 
 
-def _walk(q, arm, held, side):
+def _walk(q: np.ndarray, arm: Arm, held: str, side: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps shrink towards
     the joint limit that ends it."""
     target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()
@@ -142,7 +145,7 @@ def _walk(q, arm, held, side):
             return
 
 
-def _starts(q, arm, held):
+def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     q = np.array(q, float, ndmin=2)
     if held not in HELD:
         raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
@@ -156,11 +159,11 @@ def _starts(q, arm, held):
     return q
 
 
-def _rows(q, arm, held):
+def _rows(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return mechanism.jacobian(q, arm, "base")[..., : HELD[held], :]
 
 
-def null_space(q, arm, held, fixed=None):
+def null_space(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
     """(m, n, n) projectors on the null space at postures q (m, n) rad; joints in fixed (m, n) do not move."""
     J = _rows(q, arm, held)
     if fixed is not None:
@@ -168,12 +171,12 @@ def null_space(q, arm, held, fixed=None):
     return np.eye(q.shape[1]) - np.linalg.pinv(J, rcond=RANK) @ J
 
 
-def _tangent(q, arm, held):
+def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     """(m, n) unit vectors along one-dimensional null spaces."""
     return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
 
 
-def _uphill(q, arm, wish, held):
+def _uphill(q: np.ndarray, arm: Arm, wish: Wish, held: str) -> np.ndarray:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
     slope = measure.gradient(q, arm, wish)
     low, high = arm.limits.T
@@ -188,7 +191,7 @@ def _uphill(q, arm, wish, held):
     return np.where(fixed, 0.0, way)
 
 
-def bring_back(q, target, arm, held):
+def bring_back(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     """Joint angles near q (m, n) at which the hand is at its target (m, 4, 4) again: Newton with the pseudo-inverse."""
     for _ in range(6):
         chain = mechanism.frames(q, arm)
@@ -201,7 +204,7 @@ def bring_back(q, target, arm, held):
     return q
 
 
-def _error(now, target, held):
+def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
     """(m, 3 or 6) what is missing to the target, in the axes of poses; small turns as half the difference of axes."""
     move = target[:, :3, 3] - now[:, :3, 3]
     if held == "position":
@@ -210,12 +213,12 @@ def _error(now, target, held):
     return np.concatenate([move, turn], axis=1)
 
 
-def left(q, target, arm, held):
+def left(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     """(m,) what the hand at postures q (m, n) misses of its targets (m, 4, 4), m or rad."""
     return np.abs(_error(mechanism.frames(q, arm)[:, -1], target, held)).max(axis=1)
 
 
-def _found(q, value, start, first, arm, steps):
+def _found(q: np.ndarray, value: np.ndarray, start: np.ndarray, first: np.ndarray, arm: Arm, steps: int) -> Found:
     moved = difference(mechanism.forward(first, arm), mechanism.forward(q, arm))
     lengths = np.stack([np.linalg.norm(moved[:, :3], axis=1), np.linalg.norm(moved[:, 3:], axis=1)], axis=1)
     low, high = arm.limits.T

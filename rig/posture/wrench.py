@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.mechanisms import dynamics
@@ -26,7 +27,8 @@ class Wrench:
     left: np.ndarray
 
 
-def external(measured, q, speed, acceleration, arm, links, gravity):
+def external(measured: np.ndarray, q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: np.ndarray,
+             gravity: np.ndarray) -> np.ndarray:
     """(..., n) Nm: joint torque sensors' readings less what weight and motion explain, with the sign of tau = J^T f.
 
     measured : (..., n) Nm, what the joints exert; f is what the surroundings do to the hand. Others as of dynamics.torques
@@ -34,7 +36,7 @@ def external(measured, q, speed, acceleration, arm, links, gravity):
     return dynamics.torques(q, speed, acceleration, arm, links, gravity) - measured
 
 
-def estimate(external_torques, q, arm, covariance):
+def estimate(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: np.ndarray) -> Wrench:
     """Wrench that explains the external torques (..., n) Nm at joint angles q (..., n) rad.
 
     covariance : (n, n) or (..., n, n) Nm^2 of the torques, sensors and what is not known of weight and motion together; torques

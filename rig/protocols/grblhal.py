@@ -5,7 +5,7 @@ F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); g
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -230,6 +230,6 @@ def _reason(line: str) -> str:
     return f"{line} ({known})" if known else line
 
 
-def _after(start: str):
+def _after(start: str) -> Callable[[list[str]], bool]:
     """Whether lines end with ok, after one that begins so: an ok before it is older."""
     return lambda lines: lines[-1].strip() == "ok" and any(line.startswith(start) for line in lines)
