@@ -1,8 +1,12 @@
 """What can go wrong with a machine, its physics or its files, with the numbers that say so."""
-from os import PathLike
-from typing import Any
 
-import numpy as np
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class RigError(Exception):
