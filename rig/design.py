@@ -1,7 +1,7 @@
 """What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -46,7 +46,7 @@ class Hexapod:
     strut_range: np.ndarray
     home: RigidTransform
     strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    kind = "hexapod"
+    kind: ClassVar[Literal["hexapod"]] = "hexapod"
 
     def __post_init__(self) -> None:
         for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
@@ -68,7 +68,7 @@ class Planar2:
     base_joints: np.ndarray
     strut_range: np.ndarray
     strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    kind = "planar2"
+    kind: ClassVar[Literal["planar2"]] = "planar2"
 
     def __post_init__(self) -> None:
         for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
@@ -93,7 +93,7 @@ class Arm:
     limits: np.ndarray
     base: RigidTransform = field(default_factory=RigidTransform.identity)
     tool: RigidTransform = field(default_factory=RigidTransform.identity)
-    kind = "arm"
+    kind: ClassVar[Literal["arm"]] = "arm"
 
     def __post_init__(self) -> None:
         _set(self, "joints", (None, None))
@@ -116,7 +116,7 @@ class Arm:
 class Free:
     """Moved by hand or by somebody else: there is nothing to command."""
 
-    kind = "free"
+    kind: ClassVar[Literal["free"]] = "free"
     axes = ()
 
 

@@ -9,26 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (
-    DICTIONARIES,
-    DISTORTION_TERMS,
-    FACES,
-    SOURCES,
-    Actuator,
-    Arm,
-    Camera,
-    Design,
-    Free,
-    Hexapod,
-    Instrument,
-    Marker,
-    MeasuringLimbs,
-    Planar2,
-    Platform,
-    Sensor,
-    SensorPort,
-    Target,
-)
+from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
+                        MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.outside import read_text
@@ -185,7 +167,7 @@ def _sensor(table: Entries) -> Sensor:
 
 
 def _cameras(tables: list[Entries]) -> tuple[Camera, ...]:
-    cameras = []
+    cameras: list[Camera] = []
     for table in tables:
         table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount"))
         name = table.identifier("name")
@@ -221,7 +203,8 @@ def _source(table: Entries) -> str | None:
 
 
 def _targets(tables: list[Entries]) -> tuple[Target, ...]:
-    targets, owners = [], {}
+    targets: list[Target] = []
+    owners: dict[tuple[str, int], str] = {}
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
         name = table.identifier("name")

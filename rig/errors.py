@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +48,7 @@ class Unreachable(RigError):
     index : (k,) positions in the batch; violations : one line of text per pose
     """
 
-    def __init__(self, message: str, index: np.ndarray, violations: list[str]) -> None:
+    def __init__(self, message: str, index: Sequence[int] | np.ndarray, violations: list[str]) -> None:
         self.index, self.violations = index, violations
         super().__init__("\n".join([message, *(f"  {line}" for line in violations)]))
 

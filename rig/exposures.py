@@ -109,7 +109,7 @@ def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, de
     return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
 
 
-def read_image(path: str | Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
     """Image as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
     import cv2
 

@@ -7,13 +7,14 @@ stand meanwhile, and the journal keeps each camera's own.
 """
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from rig.errors import RigError
-from rig.journal import Arrival, Began, Departure, Ended, Exposed, Readings, Resumed, Row, sync_folder
 from rig.files import write_text
+from rig.journal import Arrival, Began, Departure, Ended, Exposed, Readings, Resumed, Row, sync_folder
 
 APART = 1e-6  # s; rows of commands.csv lie at least so far apart
 AGREE = 1e-9  # m; nearer than this a strut has not moved
@@ -74,7 +75,7 @@ class Growing:
         self._at = row.position
         return lines + self._command(row.t, row.position)
 
-    def _command(self, t: float, values: object) -> list[tuple[str, str]]:
+    def _command(self, t: float, values: Iterable[float]) -> list[tuple[str, str]]:
         t = max(t, self._last_t + APART)
         self._last_t = t
         return [("commands.csv", f"{t:.6f}," + ",".join(f"{value:.9f}" for value in values) + "\n")]

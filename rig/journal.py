@@ -165,7 +165,8 @@ def read(path: Path) -> tuple[list[Row], int]:
         data = Path(path).read_bytes()
     except OSError as error:
         raise FileError(path, f"cannot be read: {error.strerror}") from None
-    rows, at = [], 0
+    rows: list[Row] = []
+    at = 0
     while at < len(data):
         end = data.find(b"\n", at)
         row = _row(data[at:end], len(rows)) if end >= 0 else None

@@ -1,5 +1,6 @@
 """A recording folder <-> arrays: what the rig did and what was seen of it, all outside data checked here."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,7 @@ class Sensors:
     t: np.ndarray
     channels: dict[str, np.ndarray]
 
-    def at(self, t: ArrayLike, *names: str) -> np.ndarray:
+    def at(self, t: np.ndarray | Sequence[float], *names: str) -> np.ndarray:
         """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
         for name in names:
             if name in self.channels:

@@ -7,6 +7,7 @@ import numpy as np
 from rig.clock import Clock
 from rig.design import SensorPort
 from rig.errors import NoAnswer
+from rig.link import Port
 from rig.port import SerialPort
 
 WAIT = 2.0  # s for a line
@@ -16,7 +17,7 @@ LONGEST = 4096  # bytes
 class Sensing:
     """An open port with sensors. stated : SensorPort of the rig.toml; opener : makes the port, by default the one that it names"""
 
-    def __init__(self, stated: SensorPort, clock: Clock, opener: Callable[[], object] | None = None) -> None:
+    def __init__(self, stated: SensorPort, clock: Clock, opener: Callable[[], Port] | None = None) -> None:
         self._stated, self._clock = stated, clock
         self._port = opener() if opener else SerialPort(stated.port, stated.baudrate, clock)
 

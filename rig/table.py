@@ -31,7 +31,7 @@ class Table:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def fail(self, message: str, row: int, column: str | None = None, value: Any = None) -> NoReturn:
+    def fail(self, message: str, row: int | np.integer, column: str | None = None, value: Any = None) -> NoReturn:
         """Raise FileError at a row (index) and a column (name); the column is given as its place in the row, from 1."""
         place = self.columns.index(column) + 1 if column is not None else None
         raise FileError(self.path, message, int(self.lines[row]), place, value)
@@ -128,7 +128,7 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
         raise FileError(path, f"is empty; its first line must name the columns {','.join(required)}", 1)
     if len(header) > MOST_COLUMNS:
         raise FileError(path, f"has {len(header)} columns, more than {MOST_COLUMNS}", 1)
-    first = {}
+    first: dict[str, int] = {}
     for place, name in enumerate(header, 1):
         if first.setdefault(name, place) != place:
             raise FileError(path, f"column {shown(name)} is given twice", 1, place, name)

@@ -1,7 +1,7 @@
 """Where each value of a TOML text stands, so that an error can name line and column (tomllib does not say)."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 _SPACE = re.compile(r"[ \t]*")
 _BLANK = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -32,7 +32,9 @@ class _Scanner:
     """A recursive descent over TOML that keeps nothing but offsets."""
 
     def __init__(self, text: str) -> None:
-        self.text, self.at, self.found, self.counts = text, 0, {}, {}
+        self.text, self.at = text, 0
+        self.found: dict[tuple, int] = {}
+        self.counts: dict[tuple, int] = {}
 
     def skip(self, pattern: re.Pattern[str]) -> None:
         self.at = pattern.match(self.text, self.at).end()
@@ -49,9 +51,9 @@ class _Scanner:
                 return tuple(parts)
             self.at += 1
 
-    def resolve(self, parts: tuple) -> tuple:
+    def resolve(self, parts: Sequence) -> tuple:
         """Insert the index of the latest element wherever a part names an array of tables."""
-        path = ()
+        path: tuple = ()
         for part in parts:
             path += (part,)
             if path in self.counts:

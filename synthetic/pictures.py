@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -72,7 +73,7 @@ def check_drawable(effects: Iterable[Effect]) -> None:
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
 
 
-_state = {}  # of a drawing process: what it was started with
+_state: dict[str, Any] = {}  # of a drawing process: what it was started with
 
 
 def _start(simulation: Simulation, out: Path, images: Images, seed: int) -> None:

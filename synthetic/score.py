@@ -165,7 +165,7 @@ def _place(table: Entries, effect: str, other: float) -> str:
 
 def covered(hidden: Hidden, found: Found) -> list[bool]:
     """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
-    out = []
+    out: list[bool] = []
     if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
         return out
     roles = {p.name: p.role for p in BY_NAME[hidden.effect].parameters}
@@ -234,7 +234,7 @@ def by_strength(cases: list[Case]) -> list[Group]:
 
 
 def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[Group]:
-    rows = {}
+    rows: dict[str, list] = {}
     for c in cases:
         for h in c.hidden if c.failed is None else ():
             if group(h) is not None:

@@ -1,5 +1,7 @@
 """Cameras of a rig: opened by what rig.toml says of them, grabbed together, told when they were exposed."""
 
+from pathlib import Path
+
 from rig.cameras.emulated import EmulatedSource
 from rig.cameras.folder import FolderSource
 from rig.cameras.genicam import open_genicam
@@ -25,5 +27,5 @@ def open_source(camera: Camera, clock: Clock) -> Source:
     if kind == "genicam":
         return open_genicam(camera.name, place, clock, size)
     if kind == "folder":
-        return FolderSource(camera, place, clock)
+        return FolderSource(camera, Path(place), clock)
     return EmulatedSource(camera.name, place, clock, size)

@@ -34,7 +34,8 @@ class FolderSource:
 
         for name in self._names():  # dropped while nobody had asked: exposed some other time
             self._known.add(name)
-        asked, sizes = self._clock.now(), {}
+        asked = self._clock.now()
+        sizes: dict[Path, int] = {}
         (self._folder / "ask").touch()
         while True:
             now = self._clock.now()

@@ -15,7 +15,8 @@ class Shutter:
     def __init__(self, sources: tuple[Source, ...], clock: Clock, tries: int = TRIES) -> None:
         if not sources:
             raise CameraError("there is no camera to take a frame with")
-        self.sources, self.retried = tuple(sources), []
+        self.sources = tuple(sources)
+        self.retried: list[str] = []
         self._clock, self._tries = clock, tries
         self._pool = ThreadPoolExecutor(len(sources))
 

@@ -61,7 +61,7 @@ def _model(terms: int) -> str:
     return f"{terms} distortion terms" if terms else "no distortion"
 
 
-def _paths(given: list[str]) -> list[Path]:
+def _paths(given: list[Path]) -> list[Path]:
     """Photographs named, or lying in a folder named. Raises RigError for what is not there and for a folder without any."""
     paths = []
     for path in given:

@@ -154,11 +154,11 @@ class Effect:
             raise RigError("nothing was commanded")
         if not commanded and not context.cameras:
             raise RigError("there are no corners")
-        if cls.moving and np.abs(context.motion.path.speed).max(initial=0.0) < AT_REST:
+        if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
             raise RigError("every exposure was taken at rest")
         found = tuple(place for kind in cls.places for place in cls._of_kind(kind, context))
         if commanded and found:
-            reason = cls(found[0]).needs(context.motion)
+            reason = cls(found[0]).needs(context.moved())
             if reason:
                 raise RigError(f"{cls.name} {reason}")
         return found
@@ -166,8 +166,8 @@ class Effect:
     @classmethod
     def _of_kind(cls, kind: str, context: Context) -> tuple[str, ...]:
         if kind == "axis":
-            return context.motion.places
-        if kind == "rig" and "axis" in cls.places and context.motion.kind.AXIS == "joint":
+            return context.moved().places
+        if kind == "rig" and "axis" in cls.places and context.moved().kind.AXIS == "joint":
             return ()  # joints differ: that all of them do the same is nobody's physics
         if kind == "cameras":
             return ("cameras",) if len(context.design.cameras) > 1 else ()

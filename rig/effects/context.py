@@ -6,6 +6,7 @@ import numpy as np
 
 from rig.design import Design
 from rig.effects.motion import Motion
+from rig.errors import RigError
 from rig.recording import Sensors
 
 
@@ -24,6 +25,12 @@ class Context:
     moving: tuple[str, ...] = ()
     markers: tuple[int, ...] = ()
     targets: tuple[str, ...] = ()
+
+    def moved(self) -> Motion:
+        """The Motion. Raises RigError where nothing was commanded."""
+        if self.motion is None:
+            raise RigError("nothing was commanded")
+        return self.motion
 
     def logged(self, *names: str) -> bool:
         """Whether any of these sensor channels was logged."""

@@ -45,13 +45,13 @@ class ThermalExpansion(Effect):
 
     @classmethod
     def follows(cls, place: str, context: Context) -> tuple[tuple[str, ...], ...]:
-        return tuple(_channels(at) for at in context.motion.places if place in (at, "rig"))
+        return tuple(_channels(at) for at in context.moved().places if place in (at, "rig"))
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:
         found = super(ThermalExpansion, cls).sites(context)
-        own = any(context.logged(_channels(place)[0]) for place in context.motion.places)
-        return found if context.motion.kind.AXIS == "strut" or own else ("rig",)  # one temperature tells of no link by itself
+        own = any(context.logged(_channels(place)[0]) for place in context.moved().places)
+        return found if context.moved().kind.AXIS == "strut" or own else ("rig",)  # one temperature tells of no link by itself
 
 
 def _channels(place: str) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ class TransmissionError(Effect):
         p = cls.parameters[0].at(place)
         if not place.startswith("joint"):
             return [cls._of(place, {COUNT: count}, p) for count in KNOTS]
-        q = context.motion.lengths[:, context.motion.places.index(place)]
+        q = context.moved().lengths[:, context.moved().places.index(place)]
         span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
         counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]

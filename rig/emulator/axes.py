@@ -93,13 +93,13 @@ class Axes:
         """(k,) s and (k, n) m from `since` on, between which straight lines leave the true motion by no more than FINE."""
         with self._lock:
             begins, bends = np.array(self._t), np.abs(self._a).max(axis=1)
-            t = []
+            t: list[float] = []
             for i in range(max(int(np.searchsorted(begins, since)) - 1, 0), len(begins)):
                 end = begins[i + 1] if i + 1 < len(begins) else begins[i]
                 pieces = max(int(np.ceil((end - begins[i]) * np.sqrt(bends[i] / (8 * FINE)))), 1)
                 t.extend(np.linspace(begins[i], end, pieces, endpoint=False))
-            t = np.array([one for one in t if one >= since] or [max(self.until, since)])
-            return t, self.lengths_at(t)
+            kept = np.array([one for one in t if one >= since] or [max(self.until, since)])
+            return kept, self.lengths_at(kept)
 
     def _piece(self, t: float) -> tuple[int, float]:
         i = max(bisect.bisect_right(self._t, t) - 1, 0)
@@ -109,5 +109,6 @@ class Axes:
         if t <= self._t[-1]:
             self._p[-1], self._v[-1], self._a[-1] = p, v, a
             return
-        for each, value in ((self._t, t), (self._p, p), (self._v, v), (self._a, a)):
+        self._t.append(t)
+        for each, value in ((self._p, p), (self._v, v), (self._a, a)):
             each.append(value)

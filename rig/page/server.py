@@ -33,7 +33,8 @@ class PageServer:
 
     def __init__(self, stop: Callable[[], None], port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
-        self._stop, self._event, self._images = stop, b"{}", {}
+        self._stop, self._event = stop, b"{}"
+        self._images: dict[str, bytes] = {}
         self._changed, self._number, self._open, self._lines = threading.Condition(), 0, True, 0
         try:
             self._server = _Server((HOST, port), _Handler)

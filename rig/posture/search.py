@@ -119,7 +119,7 @@ def trace(q: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
     return np.array([*behind[::-1], q[0], *ahead])
 
 
-def _walk(q: np.ndarray, arm: Arm, held: str, side: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _walk(q: np.ndarray, arm: Arm, held: str, side: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield (index (k,), postures (k, n)) of the walkers still under way along the self-motion; the last few steps shrink towards
     the joint limit that ends it."""
     target, index, walker = mechanism.frames(q, arm)[:, -1], np.arange(len(q)), q.copy()

@@ -12,6 +12,7 @@ from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.mechanisms import dynamics
+from rig.mechanisms.dynamics import Links
 from rig.posture.measure import DIRECTIONS
 
 FELT = 1e-6  # of the largest singular value; a wrench that shows less in the torques is not felt
@@ -27,7 +28,7 @@ class Wrench:
     left: np.ndarray
 
 
-def external(measured: np.ndarray, q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: np.ndarray,
+def external(measured: np.ndarray, q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links,
              gravity: np.ndarray) -> np.ndarray:
     """(..., n) Nm: joint torque sensors' readings less what weight and motion explain, with the sign of tau = J^T f.
 

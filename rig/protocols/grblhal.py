@@ -85,13 +85,13 @@ class GrblHAL:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
             lines = yield from ask(b"?", lambda lines: self._read(lines[-1]) is not None)
             state = self._read(lines[-1])
-            if state.positions is not None:
+            if state is not None and state.positions is not None:
                 return state
         raise NoAnswer("status reports give work positions and never their offset WCO: set $10=511 (Grbl 1.1: $10=1) on the controller")
 
     def move(self, segment: Segment) -> Dialogue[Verdict]:
-        feed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
-        feed = f"F{max(feed, 0.1):.1f}"
+        speed = MM * 60 * np.linalg.norm(segment.target - segment.start) / max(segment.duration, 1e-6)
+        feed = f"F{max(speed, 0.1):.1f}"
         for digits, apart in ((4, False), (4, True), (3, False), (3, True)):
             words = "".join(f"{axis}{value:.{digits}f}" for axis, value in zip(self.axes, MM * segment.target))
             line = f"G53G1{words}" + ("" if apart else feed)
@@ -230,6 +230,6 @@ def _reason(line: str) -> str:
     return f"{line} ({known})" if known else line
 
 
-def _after(start: str) -> Callable[[list[str]], bool]:
+def _after(start: str) -> Callable[[Sequence[str]], bool]:
     """Whether lines end with ok, after one that begins so: an ok before it is older."""
     return lambda lines: lines[-1].strip() == "ok" and any(line.startswith(start) for line in lines)
