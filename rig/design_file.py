@@ -203,8 +203,7 @@ def _source(table: Entries) -> str | None:
 
 
 def _targets(tables: list[Entries]) -> tuple[Target, ...]:
-    targets: list[Target] = []
-    owners: dict[tuple[str, int], str] = {}
+    targets, owners = list[Target](), dict[tuple[str, int], str]()
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
         name = table.identifier("name")
@@ -286,9 +285,7 @@ def with_places(text: str, places: dict[str, tuple[Marker, ...]]) -> str:
     import tomlkit
 
     document = tomlkit.parse(text)
-    for table in document["target"]:
-        if table["name"] not in places:
-            continue
+    for table in (table for table in document["target"] if table["name"] in places):
         for key in ("edge", "marker", "faces", "pose"):
             table.pop(key, None)
         rows = tomlkit.aot()
