@@ -203,7 +203,7 @@ def _source(table: Entries) -> str | None:
 
 
 def _targets(tables: list[Entries]) -> tuple[Target, ...]:
-    targets, owners = list[Target](), dict[tuple[str, int], str]()
+    targets, owners = list[Target](), dict[int, str]()
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
         name = table.identifier("name")

@@ -68,7 +68,8 @@ class Driver:
         self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)
         self._say = say or (lambda text: None)
         self._busy = threading.RLock()
-        self._known, self._homed = False, None  # whether the lengths can be believed; what the controller said of that
+        self._known = False  # whether the lengths can be believed
+        self._homed: bool | None = None  # what the controller said of that
         self._left: np.ndarray | None = None  # (n,) m where the struts were left
 
     def __enter__(self) -> "Driver":

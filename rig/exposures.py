@@ -73,7 +73,8 @@ def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, sk
     written = rows.text("t")
     frame, t, camera, image = rows.whole("frame"), rows.times("t", origin), rows.text("camera"), rows.text("image")
     cameras = {c.name: c for c in design.cameras}
-    seen, start = {}, {}
+    seen: dict = {}
+    start: dict = {}
     last = (-1, -np.inf, "")
     for i in range(len(rows)):
         if camera[i] and camera[i] not in cameras:
@@ -110,7 +111,7 @@ def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, de
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Image as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
+    """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
     import cv2
 
     problem = check_image(path)

@@ -26,15 +26,16 @@ class Growing:
     def __init__(self, folder: Path, axes: tuple[str, ...], rows: list[Row]) -> None:
         """Write the files anew from the journal's rows so far. axes : names of commands.csv's columns"""
         self.folder, self._axes = Path(folder), axes
-        self._last_t, self._at, self._channels = -np.inf, None, None
-        self._text = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
+        self._last_t = -np.inf
+        self._at: tuple[float, ...] = ()  # before the first row: a journal begins with where the axes stand
+        self._channels: tuple[str, ...] | None = None
+        texts = {"commands.csv": ",".join(("t", *axes)) + "\n", "frames.csv": "frame,t,camera,image\n"}
         for row in rows:
-            for name, text in self._lines(row):
-                self._text[name] = self._text.get(name, "") + text
-        for name, text in self._text.items():
+            for name, line in self._lines(row):
+                texts[name] = texts.get(name, "") + line
+        for name, text in texts.items():
             write_text(self.folder / name, text)
         sync_folder(self.folder)
-        self._text = None
 
     def add(self, row: Row) -> None:
         """Add what a row means to the files. Raises RigError where the disk takes no more."""

@@ -53,7 +53,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     cameras = {c.name for c in design.cameras}
     markers = {number for target in design.targets for number in target.ids}
     exposed = set(zip(exposures.frame.tolist(), exposures.camera))
-    seen = {}
+    seen: dict = {}
     for i, key in enumerate(zip(frame.tolist(), camera, marker.tolist(), corner.tolist())):
         if key[1] not in cameras:
             rows.fail(f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1])
@@ -94,7 +94,7 @@ def load_poses(path: str | Path, known_frames: set[int] | None = None, positions
     """
     rows = table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
     frame = rows.whole("frame")
-    seen = {}
+    seen: dict = {}
     for i, number in enumerate(frame.tolist()):
         if known_frames is not None and number not in known_frames:
             rows.fail(f"frame {number} is not in frames.csv", i, "frame", number)

@@ -45,7 +45,8 @@ class _Writer:
     """A plan being written: where the struts are, when, and what has been exposed."""
 
     def __init__(self, start: np.ndarray, speed: float, below: float | np.ndarray = 0.0) -> None:
-        self.t, self.values, self.exposures, self.payload = [0.0, 1.0], [start, start], [], [(0.0, 0.0)]
+        self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
+        self.exposures: list[float] = []
         self.speed, self.below = speed, below
 
     def go(self, goal: np.ndarray) -> None:
@@ -55,6 +56,7 @@ class _Writer:
             self.values.append(goal)
 
     def dwell(self, seconds: float) -> None:
+        """Stay for so long (s)."""
         self.t.append(self.t[-1] + seconds)
         self.values.append(self.values[-1])
 
@@ -67,6 +69,7 @@ class _Writer:
         self.exposures.append(self.t[-1] - AFTER)
 
     def plan(self) -> Plan:
+        """What was written so far, exposures in order of time."""
         order = np.argsort(self.exposures)
         return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.array(self.payload))
 
@@ -155,7 +158,7 @@ def _moving(writer: _Writer, design: Design, count: int, rng: np.random.Generato
     phases = rng.uniform(0, 2 * np.pi, (2, len(strokes)))
 
     def at(t: float) -> np.ndarray:
-        return middle + half / 2 * (np.sin(rates * t + phases) * 2).sum(axis=0) / 2
+        return middle + half / 2 * np.sin(rates * t + phases).sum(axis=0)
 
     writer.go(at(0.0))
     writer.dwell(1.0)

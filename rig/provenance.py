@@ -36,9 +36,9 @@ def marks(recording: Recording) -> Marks:
             out[frame].add(mark)
     origin = load(recording.folder).origin
     for line in origin.data if origin is not None else ():
-        frame, _, mark = line.partition(" ")
-        if frame.isdigit():
-            out[int(frame)].add(mark)
+        number, _, mark = line.partition(" ")
+        if number.isdigit():
+            out[int(number)].add(mark)
     return {frame: frozenset(own) for frame, own in out.items()}
 
 

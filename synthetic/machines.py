@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.design import Arm, Design, Hexapod, Planar2
+from rig.design import Arm, Design, Hexapod, Instrument, Planar2
 from rig.errors import RigError
 from rig.machine_file import GEOMETRY, PLACES
 from rig.pose import pose
@@ -27,12 +27,11 @@ def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Pl
         return replace(m, base_joints=m.base_joints + size * JOINT * rng.normal(size=(2, 2)),
                        strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
     if m.kind == "arm":
-        return _arm(stated, rng, size)
+        return _arm(m, stated.instrument, rng, size)
     raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
 
 
-def _arm(stated: Design, rng: np.random.Generator, size: float) -> Arm:
-    m, instrument = stated.mechanism, stated.instrument
+def _arm(m: Arm, instrument: Instrument | None, rng: np.random.Generator, size: float) -> Arm:
     rows = m.rows + size * ROW * rng.normal(size=m.rows.shape)
     flat = np.abs(np.cos(m.rows[:, 3])) > 0.999
     rows[flat, 3:] = m.rows[flat, 3:] + size * ASKEW * rng.uniform(-1, 1, (flat.sum(), 2))

@@ -104,7 +104,7 @@ def shade(part: Part, matrix: np.ndarray) -> float:
     light = AMBIENT
     for lamp in LAMPS:
         to_lamp = np.array(lamp.position) - centre
-        distance = np.linalg.norm(to_lamp)
+        distance = float(np.linalg.norm(to_lamp))
         facing = 0.5 if part.normal is None else max(0.0, float(matrix[:3, :3] @ part.normal @ to_lamp) / distance)
         light += lamp.intensity * facing / distance**2
     return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))

@@ -163,7 +163,7 @@ def _place(table: Entries, effect: str, other: float) -> str:
     return f"marker {min(int(number), int(other))}"
 
 
-def covered(hidden: Hidden, found: Found) -> list[bool]:
+def covered(hidden: Hidden, found: Found | None) -> list[bool]:
     """[bool] for every number of a finding that has an interval: whether the truth lies in it. Moments and choices are not counted."""
     out: list[bool] = []
     if found is None or (found.effect, found.place) != (hidden.effect, hidden.place):
@@ -213,8 +213,9 @@ def medians(cases: list[Case]) -> dict[str, float]:
     """{name: number}: size of the sets, held-out misfit over the noise floor, seconds; nan where there is none."""
     done = [c for c in cases if c.failed is None]
     one = [c.match(c.hidden[0]) for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
-    columns = {"effects in a set": [len(set(f.names())) for f in one if f is not None], "held-out misfit / noise floor": [c.ratio for c in done],
-               "seconds a diagnosis": [c.seconds for c in cases]}
+    columns: dict[str, list[float]] = {
+        "effects in a set": [len(set(f.names())) for f in one if f is not None], "held-out misfit / noise floor": [c.ratio for c in done],
+        "seconds a diagnosis": [c.seconds for c in cases]}
     return {name: float(np.nanmedian(v)) if np.isfinite(v).any() else float("nan") for name, v in columns.items()}
 
 
@@ -237,8 +238,9 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
     rows: dict[str, list] = {}
     for c in cases:
         for h in c.hidden if c.failed is None else ():
-            if group(h) is not None:
-                rows.setdefault(group(h), []).append((c, h, c.match(h)))
+            name = group(h)
+            if name is not None:
+                rows.setdefault(name, []).append((c, h, c.match(h)))
     return [(name, [share("detected", [c.seen_as(h) != "nothing" for c, h, _ in rows[name]]),
                     share("named", [f is not None and f.effect == h.effect for _, h, f in rows[name]]),
                     share("placed", [f is not None and (f.effect, f.place) == (h.effect, h.place) for _, h, f in rows[name]]),
@@ -259,7 +261,7 @@ def confusion(cases: list[Case]) -> dict[str, dict[str, int]]:
 
 
 def _count(names: Iterable[str]) -> dict[str, int]:
-    out = {}
+    out: dict = {}
     for name in names:
         out[name] = out.get(name, 0) + 1
     return out

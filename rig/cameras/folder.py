@@ -35,7 +35,7 @@ class FolderSource:
         for name in self._names():  # dropped while nobody had asked: exposed some other time
             self._known.add(name)
         asked = self._clock.now()
-        sizes: dict[Path, int] = {}
+        sizes: dict[str, tuple] = {}
         (self._folder / "ask").touch()
         while True:
             now = self._clock.now()

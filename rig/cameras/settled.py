@@ -80,7 +80,8 @@ def _by_images(clock: Clock, images: Callable[[], list[np.ndarray]]) -> None:
 
 
 def _by_limbs(clock: Clock, limbs: Callable[[], np.ndarray], tolerance: float) -> None:
-    start, last = clock.now(), []
+    start = clock.now()
+    last: list = []
     while True:
         last = [*last[1 - READINGS :], np.asarray(limbs(), float)]
         moved = np.ptp(last, axis=0)

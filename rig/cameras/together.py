@@ -16,7 +16,7 @@ class Shutter:
         if not sources:
             raise CameraError("there is no camera to take a frame with")
         self.sources = tuple(sources)
-        self.retried: list[str] = []
+        self.retried: list[tuple[str, str]] = []
         self._clock, self._tries = clock, tries
         self._pool = ThreadPoolExecutor(len(sources))
 

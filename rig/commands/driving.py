@@ -59,7 +59,7 @@ def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: 
 
 
 def lengths_text(lengths: np.ndarray) -> str:
-    """Lengths in mm."""
+    """Lengths (n,) m as text, in mm."""
     return " ".join(f"{value * 1e3:.4f}" for value in lengths) + " mm"
 
 

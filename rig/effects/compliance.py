@@ -69,7 +69,7 @@ class Compliance(Effect):
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        motion = context.motion
+        motion = context.moved()
         if not motion.no_loads():
             return [Candidate(cls, place, [{}], cls.linear(place)[:1])]
         table = motion.links()[:, motion.places.index(place)]
@@ -91,7 +91,7 @@ class Compliance(Effect):
 
 def by_links(context: Context) -> tuple[str, ...]:
     """The axes, where what they carry is not stated but their load is linear in the masses of the machine's own links; else none."""
-    motion = context.motion
+    motion = context.moved()
     return motion.places if motion is not None and motion.no_loads() and motion.links().shape[2] else ()
 
 

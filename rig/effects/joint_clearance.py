@@ -59,7 +59,7 @@ class JointClearance(Effect):
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
-        motion = context.motion
+        motion = context.moved()
         if not motion.no_loads():
             return [Candidate(cls, place, [{}], cls.linear(place))]
         table = motion.links()[:, motion.places.index(place)]

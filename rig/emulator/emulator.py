@@ -46,6 +46,7 @@ class Emulator:
 
     @property
     def plugged(self) -> bool:
+        """Whether the cable is in; it is again once the time of a cut has passed."""
         if self._cut_until is not None and self.now >= self._cut_until:
             self._cut_until = None
             self.replugged += 1

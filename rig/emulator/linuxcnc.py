@@ -27,7 +27,8 @@ class LinuxCNC(Emulator):
 
     def greet(self) -> None:
         self._linked, self._echo, self._verbose, self._enabled = False, True, False, False
-        self._estop, self._power, self._mode, self._errors = False, False, "MANUAL", []
+        self._estop, self._power, self._mode = False, False, "MANUAL"
+        self._errors: list[str] = []
 
     def unplug(self, seconds: float = 0.7) -> None:
         super().unplug(seconds)

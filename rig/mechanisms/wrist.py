@@ -84,7 +84,7 @@ def six(arm: Arm) -> SixR:
 
 def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
     def skewed(i: int, j: int) -> float:
-        return np.linalg.norm(np.cross(u[i], u[j]))
+        return float(np.linalg.norm(np.cross(u[i], u[j])))
 
     key = _nearest(o[5], u[5], o[4], u[4])
     meets = [np.linalg.norm(np.cross(key - o[i], u[i])) for i in (3, 4, 5)]

@@ -117,11 +117,11 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == "/events":
             self._events()
         elif path == "/image":
-            data = self.server.page.image(query.get("camera", [""])[0])
-            if data is None:
+            image = self.server.page.image(query.get("camera", [""])[0])
+            if image is None:
                 self._refuse(HTTPStatus.NOT_FOUND, "no such image yet")
             else:
-                self._reply(HTTPStatus.OK, data, "image/jpeg")
+                self._reply(HTTPStatus.OK, image, "image/jpeg")
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "no such page")
 
