@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -37,8 +38,13 @@ class Function:
 def functions(*packages: str) -> Iterator[Function]:
     """All functions of some packages, those within functions too."""
     for package in packages:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            yield from _within(ast.parse(path.read_text()), str(path.relative_to(ROOT)), None)
+        yield from _of(package)
+
+
+@cache
+def _of(package: str) -> list[Function]:
+    paths = sorted((ROOT / package).rglob("*.py"))
+    return [function for path in paths for function in _within(ast.parse(path.read_text()), str(path.relative_to(ROOT)), None)]
 
 
 def _within(node: ast.AST, path: str, owner: ast.ClassDef | None) -> Iterator[Function]:
