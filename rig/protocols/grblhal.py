@@ -226,7 +226,7 @@ def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:
 
 def _reason(line: str) -> str:
     kind, _, number = line.rpartition(":")
-    known = (ALARMS if "ALARM" in kind else ERRORS).get(int(number) if number.isdigit() else -1)
+    known = (ALARMS if "ALARM" in kind else ERRORS).get(int(number) if number.isdecimal() else -1)
     return f"{line} ({known})" if known else line
 
 

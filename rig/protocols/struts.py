@@ -154,7 +154,7 @@ class Struts:
             return Verdict(None, f"{text} arrived broken"), ""
         if word == "OK":
             return Verdict(True), rest
-        code = int(rest.split()[0]) if rest and rest.split()[0].isdigit() else 0
+        code = int(rest.split()[0]) if rest and rest.split()[0].isdecimal() else 0
         return Verdict(False, f"{frame.text} ({ERRORS.get(code, 'see its manual')})"), rest
 
 

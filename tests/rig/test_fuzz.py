@@ -26,6 +26,11 @@ def test_any_request():
     quick(given(data)(requests))()
 
 
+@pytest.mark.parametrize("which, answer", [(5, b"ALARM:1\xb2\r\n"), (3, b"ALARM:\xb3\r\n")])
+def test_a_superscript_is_no_number(which, answer):
+    answers("grblhal", bytes([which]) + answer)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("protocol", [*MAKE, "requests"])
 def test_a_million_random_inputs(protocol):
