@@ -15,7 +15,7 @@ from rig.emulator.faults import Faults
 WIDTH, HEIGHT = 64, 48
 CONTROLLER = """
 [controller]
-protocol = "grblhal"
+protocol = "{protocol}"
 port = "{port}"
 max_speed = 5.0
 max_acceleration = 500.0
@@ -36,7 +36,7 @@ def _answer(caller: socket.socket) -> None:
             caller.sendall(head + bytes([90]) * (WIDTH * HEIGHT))
 
 
-def _emulate(folder: str, pipe) -> None:
+def _emulate(folder: str, protocol: str, pipe) -> None:
     """The process of the emulator: every move that it was told is written down with its goal, as it is told."""
     import numpy as np
 
@@ -45,7 +45,7 @@ def _emulate(folder: str, pipe) -> None:
     link = Path(folder) / "port"
     text = layout.layout(0.3, cameras=1, width=WIDTH, height=HEIGHT).replace(
         'shutter = "global"', f'shutter = "global"\nsource = "emulator:127.0.0.1:{listening.getsockname()[1]}"')
-    (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(port=link))
+    (Path(folder) / "rig.toml").write_text(text + CONTROLLER.format(protocol=protocol, port=link))
     clock = SystemClock()
     made = emulator.of(design_file.load(Path(folder) / "rig.toml"), Faults((), np.random.default_rng(0)), clock)
     wire, told = serve.Terminal(link), open(Path(folder) / "told.csv", "w", encoding="utf-8")  # noqa: SIM115
@@ -65,11 +65,11 @@ def _emulate(folder: str, pipe) -> None:
 class EmulatedRig:
     """An emulator in a process of its own, in a folder with rig.toml, port and told.csv (the goals of all moves that it carried out)."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, protocol: str = "grblhal") -> None:
         self.folder = folder
         context = multiprocessing.get_context("fork")
         ours, theirs = context.Pipe()
-        self._process = context.Process(target=_emulate, args=(str(folder), theirs), daemon=True)
+        self._process = context.Process(target=_emulate, args=(str(folder), protocol, theirs), daemon=True)
         self._process.start()
         assert ours.poll(60) and ours.recv()
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rig import design_file, recording
+from rig.controller import PROTOCOLS
 from rig.journal import Departure, Ended, Exposed, Resumed, read
 from rig.plan import build
 from rig.steps import steps
@@ -16,11 +17,11 @@ SAME = 2e-6  # m; the controller is told micrometres
 
 
 @pytest.fixture
-def emulated(tmp_path):
+def emulated(tmp_path, request):
     import rig.commands.bench
     import rig.commands.watching  # noqa: F401  (so that forked runners need not)
 
-    made = EmulatedRig(tmp_path)
+    made = EmulatedRig(tmp_path, getattr(request, "param", "grblhal"))
     yield made
     made.close()
 
@@ -99,8 +100,9 @@ def campaign(emulated, folder, count, rng):
     return hit
 
 
+@pytest.mark.parametrize("emulated", PROTOCOLS, indirect=True)
 def test_a_killed_run_is_resumed(emulated, tmp_path):
-    assert campaign(emulated, tmp_path, 4, np.random.default_rng(11)) == 4
+    assert campaign(emulated, tmp_path, 2, np.random.default_rng(11)) == 2
 
 
 @pytest.mark.slow
