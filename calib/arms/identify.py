@@ -14,6 +14,7 @@ import numpy as np
 from calib.arms import model
 from calib.arms.observations import Observations
 from calib.arms.rank import Rank, independent
+from calib.arms.scatter import beyond
 from rig.design import Arm
 from rig.errors import NotEnoughData, RigError
 
@@ -23,7 +24,6 @@ CONVERGED = 1e-10  # m and rad; largest step
 ROUNDS = 12  # of weighing anew; one that still wavers then stays as it was
 SETTLED = 1e-3  # share by which the scatter may still change
 GATE = 6.0  # standard deviations beyond which an observation is left out
-EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts as the arm's
 FARTHEST = 0.1  # m; an owner's model that misses by more is of another arm, or stands elsewhere
 LONGEST_STEP = 0.5  # m and rad, of one iteration
 
@@ -163,15 +163,7 @@ def _solve(r: np.ndarray, J: np.ndarray, common: np.ndarray, W: np.ndarray, inli
 
 def _scatter(left: np.ndarray, observations: Observations, inliers: np.ndarray, fitted: int) -> np.ndarray:
     """(k,) scatter beyond the instrument's own: one figure for the three positions, one for the three rotations."""
-    out = np.zeros(left.shape[1])
-    freedom = max(1 - fitted / (inliers.sum() * left.shape[1]), 0.1)
-    own = np.einsum("mkk->mk", observations.covariance)[inliers]
-    for part in (slice(0, 3), slice(3, 6)):
-        if left[:, part].shape[1]:
-            seen, stated = (left[inliers][:, part] ** 2).mean() / freedom, own[:, part].mean()
-            if seen > stated * (1 + EXCESS * np.sqrt(2 / left[inliers][:, part].size)):
-                out[part] = np.sqrt(seen - stated)
-    return out
+    return beyond(left[inliers], observations.covariance[inliers], min(fitted / (inliers.sum() * left.shape[1]), 0.9))
 
 
 def _inliers(left: np.ndarray, observations: Observations, scatter: np.ndarray) -> np.ndarray:

@@ -8,9 +8,11 @@ from scipy.linalg import qr
 
 from rig.effects.base import Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.covariate import Covariate
+from rig.effects.drawing import Drawing, log_uniform, value
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
+HEAVIEST, LIGHTER, OFF_CENTRE = (4.0, 15.0), 0.7, 0.1  # kg of a first link, each next one's share of it, m: of links that are drawn
 RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
@@ -78,6 +80,16 @@ class Compliance(Effect):
             return []
         shape = {"_count": table.shape[1]}
         return [Candidate(cls, place, [shape], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
+
+    @classmethod
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Compliance":
+        if not drawing.motion.no_loads() or drawing.motion.T is None:
+            return super(Compliance, cls).drawn(place, drawing, rng)
+        links = drawing.motion.links().shape[2] // 4
+        mass = LIGHTER ** np.arange(links) * log_uniform(rng, *HEAVIEST)
+        moments = mass[:, None] * np.column_stack([np.ones(links), rng.uniform(-OFF_CENTRE, OFF_CENTRE, (links, 3))])
+        stiffness = value(cls.parameters_at(place)[0], drawing, rng)
+        return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))
 
     @classmethod
     def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:

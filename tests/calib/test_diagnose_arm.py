@@ -97,7 +97,15 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     low, high = first["parameters"]["scale"]["ci95"]
     assert (first["effect"], first["place"]) == ("scale_error", "joint 4") and low < 3e-3 < high
     assert tree["fit"]["heldout_after"] < 0.5 * tree["fit"]["heldout_before"]
-    assert "Scale error at joint 4" in (tmp_path / "out" / "diagnosis.html").read_text()
+    page = (tmp_path / "out" / "diagnosis.html").read_text()
+    assert "Scale error at joint 4" in page and "What single poses suffer from" in page
+    table = np.genfromtxt(tmp_path / "out" / "contributions.csv", delimiter=",", names=True)
+    lever = np.linalg.norm(arm_worlds.model.joint_jacobian(samples.commanded, true)[:, :3, 3], axis=1)
+    q = samples.commanded[:, 3]
+    assert np.corrcoef(table["scale_error_joint_4"], 3e-3 * np.abs(q - 0.0) * lever)[0, 1] > 0.99
+    assert table["what_remains"].mean() < 1e-4 < table["scale_error_joint_4"].mean()
+    regions = tree["held_out_by_region"]
+    assert [r["joint"] for r in regions] == [1, 2, 3, 4, 5, 6] and all(r["findings"][0]["gain_sigma"] > 2 for r in regions)
     assert "scale_error at joint 4" in capsys.readouterr().out
 
 

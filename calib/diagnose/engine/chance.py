@@ -45,11 +45,12 @@ def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray,
     F, a, q = weights.shape
     turned = np.swapaxes(weights, 1, 2)
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
-    K = weights.reshape(F * a, q).T @ products.kappa.reshape(F * a, -1)
+    K = products.onto(weights.reshape(F * a, q).T @ products.kappa.reshape(F * a, -1))
     reach = K.T @ coefficients
-    own = products.beta - pushed @ coefficients + products.kappa @ reach  # (F, a), products with what the fit leaves
-    moved = np.einsum("fa,fap->fp", weights @ coefficients, products.kappa)
-    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, K) + moved @ K.T
+    along = products.kappa @ products.of_columns(np.column_stack([reach, K.T]))  # (F, a, 1 + q)
+    own = products.beta - pushed @ coefficients + along[..., 0]  # products with what the fit leaves
+    moved = ((weights @ coefficients)[..., None] * along[..., 1:]).sum(axis=1)
+    contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, K) + moved
     before = np.einsum("faq,faq->q", weights, pushed)
     bread = before - (K**2).sum(axis=1)
     seen = bread > SWALLOWED * before

@@ -1,6 +1,6 @@
 """Whether a term predicts what it was not fitted to: whole stretches of time held out in turn, with and without it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,30 +74,23 @@ def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.nda
     return HeldOut(tuple(out), tuple(y[at] - Q[at] @ everything for Q, y, at in zip(basis, residuals, known)))
 
 
-def left_out(columns: np.ndarray, target: np.ndarray, information: np.ndarray, fold: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """A function: indices of columns that are left out -> (n, k) residuals of frames held out, the other columns fitted on the other folds.
+def left_out(grams: Sequence[np.ndarray], rights: Sequence[np.ndarray], information: np.ndarray) -> Callable[[np.ndarray], list[np.ndarray]]:
+    """A function: indices of columns that are left out -> for each fold, the sizes (p,) of all columns (0 for those) fitted on the other folds.
 
-    columns : (n, k, p) whitened; target : (n, k); information : (p, p) of all n, priors included; fold : (n,)
+    grams, rights : for each fold, (p, p) its whitened columns' products with each other and (p,) with the residual
+    information : (p, p) of all folds, priors included
     """
-    p = columns.shape[2]
-    rows = [fold == k for k in np.unique(fold)]
-    flat = [columns[r].reshape(-1, p) for r in rows]
-    rights = [X.T @ target[r].ravel() for X, r in zip(flat, rows)]
-    inverses = []
-    for X in flat:
-        H = information - X.T @ X
+    p, inverses = len(information), []
+    for gram in grams:
+        H = information - gram
         H[np.diag_indices_from(H)] *= 1 + FIRM
         inverses.append(cho_solve(cho_factor(H), np.eye(p)))
-    sizes = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
+    whole = [P @ (sum(rights) - right) for P, right in zip(inverses, rights)]
 
-    def residuals(gone: np.ndarray) -> np.ndarray:
-        out = np.zeros(target.shape)
-        for r, X, P, size in zip(rows, flat, inverses, sizes):
-            less = size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone])
-            out[r] = target[r] - (X @ less).reshape(-1, target.shape[1])
-        return out
+    def sizes(gone: np.ndarray) -> list[np.ndarray]:
+        return [size - P[:, gone] @ np.linalg.solve(P[np.ix_(gone, gone)], size[gone]) for P, size in zip(inverses, whole)]
 
-    return residuals
+    return sizes
 
 
 def signed_rank_gain(fall: np.ndarray) -> float:

@@ -7,6 +7,7 @@ a kind of measurement; its rows stand frame by frame, then what was known before
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator
 
 RANK = 1e-11  # of the greatest eigenvalue; nuisances below are none
 
@@ -29,10 +30,10 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:
-    """k directions in all blocks. parts : one (m, k) for each block, None for nothing
+    """k directions in all blocks. parts : one (m, k) for each block, an array or what multiplies as one does; None for nothing
     inner : (F, L, k) coordinates in each frame's own freedoms, None for nothing"""
 
-    parts: tuple[np.ndarray | None, ...]
+    parts: tuple[np.ndarray | LinearOperator | None, ...]
     inner: np.ndarray | None = None
 
     def __matmul__(self, sizes: np.ndarray) -> "Column":
@@ -118,8 +119,8 @@ class LinearModel:
         back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
         out = np.zeros((self.frames, len(onto)))
         for block, part in zip(self.blocks, self.columns.parts):
-            rows = part[block.frames_rows]
-            pushed = (rows @ back) * (block.residual[block.frames_rows] + rows @ size)[:, None]
+            moved = (part @ np.column_stack([back, size]))[block.frames_rows]
+            pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
         return out
 

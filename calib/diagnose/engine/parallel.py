@@ -16,14 +16,14 @@ Progress = Callable[[int, int], None]  # called with (done, of)
 _inherited: tuple[Callable, Sequence] | None = None  # what the processes forked next are to call
 
 
-def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None) -> list:
+def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None, few: int = FEW) -> list:
     """[function(thing)] in the things' order; what it changes elsewhere is lost, what it raises is raised here.
 
     It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1.
-    progress : called with (done, of), or None
+    progress : called with (done, of), or None; few : things for each process, below which it is not worth starting any
     """
     global _inherited
-    count = min(cores(), len(things) // FEW)
+    count = min(cores(), len(things) // few)
     if count < 2 or "fork" not in multiprocessing.get_all_start_methods():
         out = []
         for thing in things:

@@ -14,12 +14,21 @@ SWALLOWED = 1e-7  # share of a direction's square that the nuisances must leave 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameProducts:
-    """Of the directions (a) that a frame can be moved in. beta : (F, a) with the residual; gamma : (F, a, a) with each other;
-    kappa : (F, a, r) with the nuisances' orthonormal basis."""
+    """Of the directions (a) that a frame can be moved in. beta : (F, a) with the residual; gamma : (F, a, a) with each other
+    kappa : (F, a, p) with columns that span the nuisances; half : (p, r), columns @ half orthonormal, None where they are so already."""
 
     beta: np.ndarray
     gamma: np.ndarray
     kappa: np.ndarray
+    half: np.ndarray | None = None
+
+    def onto(self, products: np.ndarray) -> np.ndarray:
+        """Products with the columns (.., p) -> with the orthonormal basis (.., r)."""
+        return products if self.half is None else products @ self.half
+
+    def of_columns(self, sizes: np.ndarray) -> np.ndarray:
+        """Sizes (r, ..) on the orthonormal basis -> on the columns (p, ..)."""
+        return sizes if self.half is None else self.half @ sizes
 
 
 class Normal(NamedTuple):
@@ -52,7 +61,7 @@ def framewise(products: FrameProducts, weights: np.ndarray) -> Normal:
     k, F, a, q = weights.shape
     rows = np.swapaxes(weights.reshape(k, F * a, q), 1, 2)
     b = rows @ products.beta.ravel()
-    K = rows @ products.kappa.reshape(F * a, -1)
+    K = products.onto(rows @ products.kappa.reshape(F * a, -1))
     pushed = products.gamma * weights if a == 1 else products.gamma @ weights
     G = rows @ pushed.reshape(k, F * a, q)
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
@@ -61,7 +70,7 @@ def framewise(products: FrameProducts, weights: np.ndarray) -> Normal:
 def stepwise(products: FrameProducts, w: np.ndarray) -> Normal:
     """Normal of candidates that weigh all directions (a) alike by w (k, F), one column for each direction."""
     b = w @ products.beta
-    K = np.tensordot(w, products.kappa, 1)
+    K = products.onto(np.tensordot(w, products.kappa, 1))
     G = np.tensordot(w**2, products.gamma, 1)
     return Normal(b, G - K @ np.swapaxes(K, 1, 2), np.einsum("kqq->kq", G).copy())
 

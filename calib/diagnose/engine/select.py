@@ -45,11 +45,6 @@ def labelled(progress: Progress | None, label: str) -> Any:
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def labelled_part(progress: Progress | None, prefix: str) -> Progress | None:
-    """A progress (label, done, of) whose labels begin with a prefix, or None."""
-    return None if progress is None else lambda what, done, of: progress(prefix + what, done, of)
-
-
 def select(problem: Problem[Fit, Model], progress: Progress | None = None) -> Selection[Fit]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()

@@ -4,6 +4,8 @@ Each pose's values are spread onto an even grid by a short kernel, the grid is t
 out. Source: Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, 2019, C479-C504 (type 1; kernel eq. 1.8, upsampling 2).
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
@@ -28,7 +30,7 @@ def sums(q: np.ndarray, values: np.ndarray, step: float, first: int, count: int)
     spread = csr_array((_kernel(2 * (cells - at[:, None]) / WIDTH).ravel(), ((cells % size).ravel(), rows)), shape=(size, len(q)))
     order = np.arange(first, last)
     grid = np.fft.rfft(spread @ values, axis=0)[order].conj()
-    return grid * (np.exp(1j * order * step * centre) / _transform(order / size))[:, None]
+    return grid * (np.exp(1j * order * step * centre) / _transform(size, first, count))[:, None]
 
 
 def _kernel(z: np.ndarray) -> np.ndarray:
@@ -36,7 +38,9 @@ def _kernel(z: np.ndarray) -> np.ndarray:
     return np.exp(SHAPE * (np.sqrt(np.maximum(1 - z**2, 0)) - 1))
 
 
-def _transform(frequency: np.ndarray) -> np.ndarray:
-    """(k,) transform of the kernel, in grid steps, at frequencies (k,) in cycles per grid step."""
+@lru_cache(maxsize=64)
+def _transform(size: int, first: int, count: int) -> np.ndarray:
+    """(count,) transform of the kernel, in grid steps, at orders first, first + 1, .. of a grid of a size."""
     z, weight = np.polynomial.legendre.leggauss(NODES)
+    frequency = np.arange(first, first + count) / size
     return WIDTH / 2 * np.cos(np.pi * WIDTH * frequency[:, None] * z) @ (weight * _kernel(z))

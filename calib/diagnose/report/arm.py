@@ -13,6 +13,7 @@ from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.arm.candidates import SPAN, Form
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.fit import Term
+from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
 from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, write
 from rig import machine_file
@@ -34,7 +35,13 @@ def report(d: ArmDiagnosis) -> Report:
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked),
-                  more={"held_out": held, "repeats": again, "set_aside": d.arms.frame[~d.fit.used].tolist()})
+                  more={"held_out": held, "held_out_by_region": regions(d), "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
+
+
+def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
+    """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after, m, and standard errors."""
+    return [{"joint": j + 1, "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
+            for j, row in enumerate(d.regions)]
 
 
 def floor(d: ArmDiagnosis) -> float:
@@ -113,8 +120,8 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
     slope = (candidate.weights({name: order + SMALL}) - candidate.weights({name: order - SMALL})) @ theta / (2 * SMALL)
     used = fit.used
     u = (fit.W @ d.arms.directions(candidate.joint) @ slope[..., None])[..., 0][used]
-    leaning = cho_solve((fit.half, False), fit.X[used].reshape(u.size, -1).T @ u.ravel())
-    rest = u - (fit.X @ leaning)[used]
+    leaning = cho_solve((fit.half, False), fit.X.onto(u[..., None])[:, 0])
+    rest = u - fit.X.at(leaning[:, None])[..., 0]
     variance = finding.score.dispersion / max((rest**2).sum(), 1e-300)
     inverse = leaning[fit.slices[number]]  # how the sizes lean with the order
     covariance = fit.covariance(number) * finding.score.dispersion + variance * np.outer(inverse, inverse)
@@ -143,3 +150,4 @@ def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:
     effects = [one.candidate.effect(one.node, d.fit.theta[d.fit.slices[number]]) for number, one in enumerate(d.fit.terms)]
     write_text(folder / "machine.json", json.dumps(machine_file.tree(found, effects)) + "\n")
     copy_recording(folder, recording)
+    arm_contributions.write(folder / "contributions.csv", d)

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis
+from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.arm import NEAR, figures
 from calib.diagnose.report.arm_picture import picture
 from calib.diagnose.report.drawing import scatter
@@ -65,9 +66,13 @@ class ArmView:
                     rows.append([f"{label}, {h.stretches} stretches", *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
                                  f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "", f["n"]])
         parts: list[Part] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
-        aside = d.arms.frame[~d.fit.used]
+        if d.findings:
+            parts += ["<h3>What each finding brings on poses held out</h3>", self._proofs(),
+                      "<h3>What single poses suffer from</h3><p>The poses that all findings together displace most, for each finding a bar, the biggest "
+                      "first. contributions.csv has them for every pose.</p>", arm_contributions.picture(d)]
+        aside = d.arms.frame[d.fit.aside]
         if len(aside):
-            parts.append(f"<p>{len(aside)} poses agree with no model and were set aside: frames {', '.join(map(str, aside))}.</p>")
+            parts.append(f"<p>{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}.</p>")
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
             parts.append(f"<p>The same command brings {d.repeats.again:.0%} of what remains again: that is no noise, and of no form that was "
                          "tried.</p>")
@@ -80,6 +85,18 @@ class ArmView:
                                                f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)")]
         return [("poses from", d.source), ("poses", len(d.arms)), ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
                 ("sensors", ", ".join(d.arms.channels) or "none"), *again]
+
+    def _proofs(self) -> str:
+        """Table of the fall of the held-out misfit by each finding, with stretches of time and regions of each joint's travel held out."""
+        d, rows = self.diagnosis, []
+        for i, finding in enumerate(d.findings):
+            candidate = d.fit.terms[finding.number].candidate
+            found = [d.cross_validations[i], *(row[i] for row in d.regions)]
+            rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
+        joints = [f"joint {j + 1}" for j in range(len(d.regions))]
+        note = ("<p class=note>µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle "
+                "is not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.</p>")
+        return table(("finding", "held out: time", *joints), rows) + note
 
     def _errors(self) -> Figure:
         d = self.diagnosis

@@ -83,7 +83,8 @@ def _alternatives(finding: FindingEntry) -> list[Part]:
 def _remaining(report: Report, view: View) -> list[Part]:
     levels, *pictures = view.remaining(report.unknown)
     if not report.unknown:
-        return [levels, "<p>What remains looks like noise: no dependence on pose, time, history, image position or a logged channel was found.</p>"]
+        return [levels, "<p>What remains looks like noise: no dependence on pose, time, history, image position or a logged channel was found.</p>",
+                *pictures]
     rows = [(f.place, words.number(f.parameters["magnitude"].value, f.parameters["magnitude"].unit),
              ", ".join(f.parameters["depends_on"].value) or "scatters more than its noise", words.chance(f.evidence.p_value)) for f in report.unknown]
     return [levels, "<p>Something remains that nothing in the catalogue explains. A smooth function fits it; it is given no name.</p>",

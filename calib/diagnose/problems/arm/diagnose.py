@@ -1,6 +1,6 @@
 """An arm's recording -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, and what nobody can name."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,8 +11,9 @@ from calib.arms.model import moved
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
 from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.engine.parallel import parallel_map
 from calib.diagnose.engine.problem import Progress
-from calib.diagnose.engine.select import Finding, choose, labelled_part, select
+from calib.diagnose.engine.select import Finding, choose, labelled, select
 from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candidates
 from calib.diagnose.problems.arm.fit import Fit, fit
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
@@ -48,6 +49,7 @@ class HeldOutPoses:
 class ArmDiagnosis:
     """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
+    regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
     left : [LackOfFit]; origin : of the owner's clock, which moments are told by"""
 
@@ -64,6 +66,7 @@ class ArmDiagnosis:
     held: list[HeldOutPoses]
     repeats: Repeats | None
     left: list[LackOfFit]
+    regions: list[list[CrossValidation]] = field(default_factory=list)
     origin: Origin = Origin()
 
 
@@ -87,26 +90,36 @@ def diagnosed(arms: Arms, found: Identified, name: str, source: str, asked: Aske
     problem = ArmProblem(arms, candidates)
     selection = select(problem, progress)
     chosen = selection.fit
-    held = [nested(arms, candidates, count, progress) for count in ((FINE, COARSE) if coarse else (FINE,))]
+    held = nested(arms, candidates, (FINE, COARSE) if coarse else (FINE,), progress)
     again, step = repeats(chosen), np.zeros(len(found.free))
     step[found.free] = chosen.theta[: found.free.sum()]
-    proofs = [problem.cross_validation(chosen, f.number) for f in selection.findings]
+    numbers = [f.number for f in selection.findings]
+    proofs = [problem.cross_validation(chosen, number) for number in numbers]
+    regions = problem.by_regions(chosen, numbers) if numbers else []
     return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, lack_of_fit(chosen, again, problem.policy.cluster))
+                        again, lack_of_fit(chosen, again, problem.policy.cluster), regions)
 
 
-def nested(arms: Arms, candidates: list[JointCandidate], count: int, progress: Progress | None = None) -> HeldOutPoses:
-    """HeldOutPoses over `count` stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
-    part = stretches(len(arms), count) % PARTS
-    before, after, far, names = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms)), []
-    for k in range(PARTS):
-        label = f"part {k + 1} of {PARTS} of {count} stretches held out, "
-        chosen = choose(ArmProblem(arms, candidates, part != k), labelled_part(progress, label))
-        before[part == k] = fit(arms, (), part != k).left[part == k]
-        after[part == k] = chosen.left[part == k]
-        far[part == k] = _farthest(arms.q[part == k], arms.q[part != k])
-        names.append(tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms))
-    return HeldOutPoses(before, after, count, tuple(names), far)
+def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
+    """HeldOutPoses over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
+    parts = [stretches(len(arms), count) % PARTS for count in counts]
+
+    def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        train = parts[one[0]] != one[1]
+        with threadpool_limits(1):
+            chosen, bare = choose(ArmProblem(arms, candidates, train)), fit(arms, (), train)
+        return bare.left[~train], chosen.left[~train], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
+
+    things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
+    found = dict(zip(things, parallel_map(predicted, things, labelled(progress, "choosing anew without stretches"), few=1)))
+    out = []
+    for i, (count, part) in enumerate(zip(counts, parts)):
+        before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
+        for k in range(PARTS):
+            before[part == k], after[part == k], _ = found[i, k]
+            far[part == k] = _farthest(arms.q[part == k], arms.q[part != k])
+        out.append(HeldOutPoses(before, after, count, tuple(found[i, k][2] for k in range(PARTS)), far))
+    return out
 
 
 def _farthest(q: np.ndarray, fitted: np.ndarray) -> np.ndarray:

@@ -11,26 +11,52 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from calib.arms.scatter import beyond, bounded
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Block, Column, LinearModel
 from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.arm.candidates import JointCandidate
+from calib.diagnose.problems.arm.columns import Columns, Part
 from calib.diagnose.problems.arm.poses import Arms
 
 ROUNDS = 6  # of weighing anew
 SETTLED = 1e-3  # share by which the scatter may still change
-GATE = 6.0  # standard deviations beyond which a pose is left out
+SETTLED_TAIL = 0.02  # by which a pose's weight may
+CHANGED = 0.1  # share of the scatter from which it is another
+ASIDE = 0.2  # weight below which a pose agrees with no model
 LOOSE = 1e-12  # share of a freedom's information that stands for no prior at all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """scatter : (k,) m and rad beyond the instrument's own; tail : (n,) weight of each pose, below 1 where it is far off."""
+
+    scatter: np.ndarray
+    tail: np.ndarray
+
+    def whitening(self, own: np.ndarray) -> np.ndarray:
+        """(n, k, k) that makes residuals of the instrument's covariance (n, k, k) and the scatter white, and wild ones small."""
+        return np.linalg.inv(np.linalg.cholesky(own + np.diag(self.scatter**2))) * np.sqrt(self.tail)[:, None, None]
+
+    def like(self, other: "Weighing") -> bool:
+        """Whether nothing has changed to speak of."""
+        return np.allclose(self.scatter, other.scatter, rtol=SETTLED, atol=1e-9) and np.abs(self.tail - other.tail).max() < SETTLED_TAIL
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """An admitted hypothesis. candidate; node : of its grid; weights : (n, a, q) per unit, see JointCandidate; prior : (q,) sizes"""
+    """An admitted hypothesis. candidate; node : of its grid; weights : (n, a, q) per unit, see JointCandidate; prior : (q,) sizes
+    level : m, scatter of positions when its node was last chosen, None for never"""
 
     candidate: JointCandidate
     node: Node
     weights: np.ndarray
     prior: np.ndarray
+    level: float | None = None
+
+    def stale(self, scatter: float) -> bool:
+        """Whether its node was chosen at another scatter (m), or never."""
+        return self.level is None or abs(scatter - self.level) > CHANGED * self.level
 
     @staticmethod
     def at(candidate: JointCandidate, node: Node) -> "Term":
@@ -47,17 +73,20 @@ class Term:
         """The candidate, confined to this node."""
         return replace(self.candidate, grid=[self.node], step=0.0)
 
-    def columns(self, arms: Arms) -> np.ndarray:
-        """(n, k, q) change of what is measured, m and rad per unit of each coefficient."""
-        return arms.directions(self.candidate.joint) @ self.weights
+    @property
+    def part(self) -> Part:
+        """Its columns: the change of what is measured, per unit of each coefficient."""
+        joint = self.candidate.joint
+        return Part(joint, self.weights if joint is None else self.weights[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Freedoms and terms at their best on the poses `used` (n,) bool, weighted by W (n, k, k).
 
-    X : (n, k, p + c) whitened columns; half : (p + c, p + c) upper triangular, half.T half = information with priors; theta : the sizes
-    left : (n, k) residual, m and rad, of all poses; y : (n, k) the same whitened; scatter : (k,) beyond the instrument's own
+    X : Columns (p + c) of the poses used, whitened; right : (p + c,) their products with what the geometry left; half : (p + c, p + c) upper
+    triangular, half.T half = information with priors; theta : the sizes
+    left : (n, k) residual, m and rad, of all poses; y : (n, k) the same whitened; weighing : Weighing
     terms : the admitted; slices : where each one's sizes are in theta
     """
 
@@ -65,13 +94,24 @@ class Fit:
     terms: tuple[Term, ...]
     used: np.ndarray
     W: np.ndarray
-    X: np.ndarray
+    X: Columns
+    right: np.ndarray
     half: np.ndarray
     theta: np.ndarray
     left: np.ndarray
     y: np.ndarray
-    scatter: np.ndarray
+    weighing: Weighing
     slices: tuple[slice, ...]
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """(k,) m and rad beyond the instrument's own."""
+        return self.weighing.scatter
+
+    @property
+    def aside(self) -> np.ndarray:
+        """(n,) bool, poses of those used that agree with no model and count for next to nothing."""
+        return self.used & (self.weighing.tail < ASIDE)
 
     @property
     def size(self) -> int:
@@ -83,7 +123,7 @@ class Fit:
         """LinearModel of the poses used: one block, freedoms and terms as the nuisances' columns, priors in their half."""
         m, k = int(self.used.sum()), self.y.shape[1]
         block = Block("poses", "m", self.y[self.used].ravel(), np.arange(m + 1) * k)
-        return LinearModel((block,), Column((self.X[self.used].reshape(m * k, -1),)), self.inverse, self.size)
+        return LinearModel((block,), Column((self.X.operator(),)), self.inverse, self.size)
 
     @cached_property
     def information(self) -> np.ndarray:
@@ -115,28 +155,34 @@ class Fit:
 
     def without_terms(self, numbers: Sequence[int]) -> "Fit":
         """The Fit of the other terms with weights and poses as they are: rows and columns of the information struck out."""
-        keep = np.ones(self.X.shape[2], bool)
+        keep = np.ones(self.X.count, bool)
         for number in numbers:
             keep[self.slices[number]] = False
         terms = tuple(term for i, term in enumerate(self.terms) if i not in numbers)
-        return self._solved(terms, self.X[..., keep], self.information[np.ix_(keep, keep)])
+        X = self.X.without_parts([1 + number for number in numbers])
+        return self._solved(terms, X, self.information[np.ix_(keep, keep)], self.right[keep])
 
     def with_terms(self, terms: Sequence[Term]) -> "Fit":
         """The Fit with more terms, weights and poses as they are."""
-        more = np.concatenate([self.W @ term.columns(self.arms) for term in terms], axis=2)
-        flat, old = more[self.used].reshape(-1, more.shape[2]), self.X[self.used].reshape(-1, self.X.shape[2])
-        cross, own = old.T @ flat, flat.T @ flat
+        raw = Columns(self.arms.joints, tuple(term.part for term in terms))
+        more = raw.take(self.used).whitened(self.W[self.used])
+        cross, own = self.X.cross(more), more.gram()
         own[np.diag_indices_from(own)] += np.concatenate([1 / term.prior**2 for term in terms]) + LOOSE * np.diag(own) + 1e-300
         H = np.block([[self.information, cross], [cross.T, own]])
-        return self._solved((*self.terms, *terms), np.concatenate([self.X, more], axis=2), H)
+        right = np.concatenate([self.right, more.onto(self.target[self.used][..., None])[:, 0]])
+        return self._solved((*self.terms, *terms), self.X.with_parts(more.parts), H, right)
 
-    def _solved(self, terms: tuple[Term, ...], X: np.ndarray, H: np.ndarray) -> "Fit":
-        target = (self.W @ self.arms.left[..., None])[..., 0]
+    @property
+    def target(self) -> np.ndarray:
+        """(n, k) whitened, what the geometry left."""
+        return (self.W @ self.arms.left[..., None])[..., 0]
+
+    def _solved(self, terms: tuple[Term, ...], X: Columns, H: np.ndarray, right: np.ndarray) -> "Fit":
         factor = cho_factor(H)
-        theta = cho_solve(factor, X[self.used].reshape(-1, X.shape[2]).T @ target[self.used].ravel())
-        y = target - X @ theta
-        return replace(self, terms=terms, X=X, half=np.triu(factor[0]), theta=theta, left=np.linalg.solve(self.W, y[..., None])[..., 0], y=y,
-                       slices=_slices(self.arms, terms))
+        theta = cho_solve(factor, right)
+        left = self.arms.left - columns(self.arms, terms).at(theta[:, None])[..., 0]
+        y = (self.W @ left[..., None])[..., 0]
+        return replace(self, terms=terms, X=X, right=right, half=np.triu(factor[0]), theta=theta, left=left, y=y, slices=_slices(self.arms, terms))
 
     def criterion(self) -> float:
         """Bayesian information criterion with its weights as they are."""
@@ -148,48 +194,44 @@ class Fit:
         return moved[:, 0] if self.terms[number].candidate.joint is not None else np.linalg.norm(moved[:, :3], axis=1)
 
 
-def fit(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None = None, scatter: np.ndarray | None = None,
-        rounds: int = ROUNDS) -> Fit:
-    """Fit of terms on the poses of a mask train (n,), all by default; scatter : (k,) where it starts; rounds : of weighing anew."""
-    train = np.ones(len(arms), bool) if train is None else train
-    parts = [arms.freedoms] + [term.columns(arms) for term in terms]
-    raw = np.concatenate(parts, axis=2)
-    free = arms.freedoms.shape[2]
-    prior = np.concatenate([np.zeros(free)] + [1 / term.prior**2 for term in terms])
-    used, k = train.copy(), arms.left.shape[1]
-    scatter = _scatter(arms.left[used], arms.own[used]) if scatter is None else scatter
-    for _ in range(rounds):
-        W = np.linalg.inv(np.linalg.cholesky(arms.own + np.diag(scatter**2)))
-        X = W @ raw
-        flat = X[used].reshape(-1, X.shape[2])
-        H = flat.T @ flat
+def fit(arms: Arms, terms: Sequence[Term] = (), train: np.ndarray | None = None, start: Weighing | None = None, rounds: int = ROUNDS) -> Fit:
+    """Fit of terms on the poses of a mask train (n,), all by default; start : Weighing to begin with; rounds : of weighing anew."""
+    used = np.ones(len(arms), bool) if train is None else train
+    raw, k = columns(arms, terms), arms.left.shape[1]
+    prior = np.concatenate([np.zeros(arms.freedoms.shape[2])] + [1 / term.prior**2 for term in terms])
+    kept, weighing = raw.take(used), _weighed(arms, arms.left, used, 0.0) if start is None else start
+    for last in reversed(range(rounds)):
+        W = weighing.whitening(arms.own)
+        X = kept.whitened(W[used])
+        H = X.gram()
         H[np.diag_indices_from(H)] += prior + LOOSE * np.diag(H) + 1e-300
         factor = cho_factor(H)
-        theta = cho_solve(factor, flat.T @ (W[used] @ arms.left[used][..., None]).ravel())
-        left = arms.left - raw @ theta
+        right = X.onto(W[used] @ arms.left[used][..., None])[:, 0]
+        theta = cho_solve(factor, right)
+        left = arms.left - raw.at(theta[:, None])[..., 0]
+        if not last:
+            break
         inverse = solve_triangular(factor[0], np.eye(len(H)), lower=False, check_finite=False)
         taken = len(H) - (prior * (inverse**2).sum(axis=1)).sum()
-        new = _scatter(left[used], arms.own[used], min(taken / flat.shape[0], 0.8))
-        sigma = np.sqrt(np.einsum("nkk->nk", arms.own) + new**2)
-        good = train & (np.abs(left) < GATE * sigma).all(axis=1)
-        if (good == used).all() and np.allclose(new, scatter, rtol=SETTLED, atol=1e-9):
+        new = _weighed(arms, left, used, min(taken / (k * used.sum()), 0.8))
+        if new.like(weighing):
             break
-        used, scatter = good, new
-    y = (W @ left[..., None]).reshape(-1, k)
-    return Fit(arms, tuple(terms), used, W, X, np.triu(factor[0]), theta, left, y, scatter, _slices(arms, terms))
+        weighing = new
+    y = (W @ left[..., None])[..., 0]
+    return Fit(arms, tuple(terms), used, W, X, right, np.triu(factor[0]), theta, left, y, weighing, _slices(arms, terms))
+
+
+def _weighed(arms: Arms, left: np.ndarray, used: np.ndarray, share: float) -> Weighing:
+    scatter = beyond(left[used], arms.own[used], share)
+    white = np.linalg.solve(np.linalg.cholesky(arms.own + np.diag(scatter**2)), left[..., None])[..., 0]
+    return Weighing(scatter, bounded((white**2).sum(axis=1), left.shape[1]))
+
+
+def columns(arms: Arms, terms: Sequence[Term]) -> Columns:
+    """Columns of the freedoms, then of terms, m and rad per unit."""
+    return Columns(arms.joints, (Part(None, arms.freedoms), *(term.part for term in terms)))
 
 
 def _slices(arms: Arms, terms: Sequence[Term]) -> tuple[slice, ...]:
     edges = np.cumsum([arms.freedoms.shape[2], *(len(term.prior) for term in terms)])
     return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:]))
-
-
-def _scatter(left: np.ndarray, own: np.ndarray, share: float = 0.0) -> np.ndarray:
-    """(k,) scatter beyond the instrument's, one figure for positions, one for rotations; share : of the numbers that were fitted."""
-    out = np.zeros(left.shape[1])
-    for part in (slice(0, 3), slice(3, 6)):
-        if left[:, part].size:
-            seen, stated = (left[:, part] ** 2).mean() / (1 - share), np.einsum("nkk->nk", own)[:, part].mean()
-            if seen > stated * (1 + 3 * np.sqrt(2 / left[:, part].size)):
-                out[part] = np.sqrt(seen - stated)
-    return out

@@ -18,6 +18,7 @@ from calib.diagnose.problems.arm.fit import Fit, Term, fit
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.arm.search import column_of, confined, search
 from calib.diagnose.problems.arm.simplify import FINE, QUICK, gathered, opened, sharpened, simplified
+from calib.samples import blocks
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
 KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
@@ -90,7 +91,7 @@ class ArmProblem:
         return self._weighed(fit, [*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1]])
 
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
-        return fit(self.arms, terms, self.train, now.scatter, rounds=QUICK)
+        return fit(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
     def finer(self, fit: Fit, trial: Fit, score: Score, scores: list[Score]) -> Fit:
         return trial
@@ -101,7 +102,7 @@ class ArmProblem:
     def simplified(self, now: Fit) -> Fit:
         now = gathered(now, self.candidates, self.train, self.policy)
         now = prune(self, simplified(now, self.candidates, self.train, self.policy))
-        return fit(self.arms, now.terms, self.train, now.scatter)
+        return fit(self.arms, now.terms, self.train, now.weighing)
 
     def wald(self, fit: Fit, number: int) -> Wald:
         one, here = fit.terms[number], fit.slices[number]
@@ -120,14 +121,29 @@ class ArmProblem:
     def cross_validation(self, fit: Fit, number: int) -> CrossValidation:
         return self._validations(fit, [number])[0]
 
-    def _validations(self, now: Fit, numbers: list[int]) -> list[CrossValidation]:
-        """CrossValidation of each term alone; misfit in m, RMS of a position per axis."""
-        W, target = now.W[now.used], (now.W @ now.arms.left[..., None])[now.used, :, 0]
+    def by_regions(self, fit: Fit, numbers: list[int]) -> list[list[CrossValidation]]:
+        """For each joint, CrossValidation of some terms where whole regions of that joint's travel are held out in turn."""
+        angles = self.arms.q[fit.used]
+        return [self._validations(fit, numbers, q) for q in angles.T]
+
+    def _validations(self, now: Fit, numbers: list[int], along: np.ndarray | None = None) -> list[CrossValidation]:
+        """CrossValidation of each term alone; misfit in m, RMS of a position per axis.
+
+        along : (m,) what the poses used are put in order by, stretches of which are held out whole; None for time, in many short stretches
+        """
+        W, target = now.W[now.used], now.target[now.used]
+        order = np.arange(len(W)) if along is None else np.argsort(along, kind="stable")
         fold = stretches(len(now.arms), STRETCHES)[now.used] % FOLDS
-        residuals = left_out(now.X[now.used], target, now.information, fold)
+        if along is not None:
+            fold[order] = blocks(len(order), FOLDS)
+        parts = [now.X.take(fold == f) for f in np.unique(fold)]
+        rows = [fold == f for f in np.unique(fold)]
+        sizes = left_out([p.gram() for p in parts], [p.onto(target[r][..., None])[:, 0] for p, r in zip(parts, rows)], now.information)
 
         def figures(gone: np.ndarray) -> tuple[np.ndarray, float]:
-            white = residuals(gone)
+            white = target.copy()
+            for part, at, size in zip(parts, rows, sizes(gone)):
+                white[at] -= part.at(size[:, None])[..., 0]
             left = np.linalg.solve(W, white[..., None])[:, :3, 0]
             return (white**2).sum(axis=1), float(np.sqrt((left**2).mean()))
 
@@ -135,8 +151,8 @@ class ArmProblem:
         own = np.einsum("nkk->nk", now.arms.own)[now.used, :3]
         floor, out = float(np.sqrt(own.mean())), []
         for number in numbers:
-            lacking, before = figures(np.arange(now.X.shape[2])[now.slices[number]])
-            out.append(CrossValidation(before, after, floor, "m", signed_rank_gain(lacking - squares)))
+            lacking, before = figures(np.arange(now.X.count)[now.slices[number]])
+            out.append(CrossValidation(before, after, floor, "m", signed_rank_gain((lacking - squares)[order])))
         return out
 
     def lack_of_fit(self, model: Fit) -> list[LackOfFit]:

@@ -31,7 +31,7 @@ def repeats(fit: Fit) -> Repeats | None:
     The difference of two residuals under one command holds no model error, so its scatter is pure error; of a residual's square, the
     part that both share is repeatable and not explained.
     """
-    used = np.flatnonzero(fit.used)
+    used = np.flatnonzero(fit.used & ~fit.aside)
     pairs = np.array(sorted(cKDTree(fit.arms.q[used]).query_pairs(SAME, p=np.inf)), int).reshape(-1, 2)
     if len(pairs) < FEWEST:
         return None

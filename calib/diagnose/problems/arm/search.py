@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,11 @@ from calib.diagnose.problems.arm.candidates import Form, JointCandidate
 from calib.diagnose.problems.arm.fit import Fit
 
 CHUNK = 96  # nodes at a time
-REFINE = 8  # halvings of the step about the best order
+REFINE, FINER = 4, 2  # rounds about the best order, each with a step so many times as fine
+BETWEEN = 1.3  # times what a node explains, the most that an order between two of them does
+PROMISING, SLOW = 64, 24  # nodes of a long grid of which nuisances are taken out: those that explain most, and the first
+MANY = 1.5  # times what a term's first number has to bring, what each of a curve's has to: neighbouring poses tell of a curve nearly the same
+SEEN = 4.0  # times what a later node explains with the nuisances in, the most that it does without
 SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a line
 
 
@@ -37,7 +42,7 @@ def joint_products(fit: Fit, joint: int | None) -> FrameProducts:
     """FrameProducts of the used poses for a joint's turn (index), or for the measured tangents (None)."""
     A = _directions(fit, joint)
     turned = np.swapaxes(A, 1, 2)
-    return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.linear.onto(turned @ fit.X[fit.used]))
+    return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
 def column_of(fit: Fit, score: Score) -> Column:
@@ -52,20 +57,24 @@ def _directions(fit: Fit, joint: int | None) -> np.ndarray:
 
 
 def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int) -> Score | None:
-    solved = solved_grid(fit, candidate, products)
-    best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(fit.size)))
-    node = candidate.grid[best]
-    if candidate.step:
-        node, top = _finer(fit, candidate, products, node)
+    log = np.log(fit.size)
+    solved = solved_grid(fit, candidate, products, least)
+    best = int(np.argmax(solved.delta_chi2 - solved.rank * log))
+    node, penalty = candidate.grid[best], (np.ceil(solved.rank[best]) + candidate.extra) * log
+    if candidate.step and BETWEEN * solved.delta_chi2[best] - penalty > least:
+        finer, top = _finer(fit, candidate, products, node)
         if top.delta_chi2[0] > solved.delta_chi2[best]:
             deltas, coefficients = solved.delta_chi2.copy(), list(solved.coefficients)
             deltas[best], coefficients[best] = top.delta_chi2[0], top.coefficients[0]
-            solved = solved._replace(delta_chi2=deltas, coefficients=coefficients)
-        else:
-            node = candidate.grid[best]
-    if solved.delta_chi2[best] - (np.ceil(solved.rank[best]) + candidate.extra) * np.log(fit.size) <= least:
+            solved, node = solved._replace(delta_chi2=deltas, coefficients=coefficients), finer
+    if solved.delta_chi2[best] - penalty <= least:
         return None
-    return at_node(fit.linear, candidate, best, node, solved, products, weights(fit, candidate, node), cluster)
+    score = at_node(fit.linear, candidate, best, node, solved, products, weights(fit, candidate, node), cluster)
+    fewer = int(np.argmax(solved.delta_chi2 / score.dispersion - MANY * solved.rank * log)) if candidate.vector else best
+    if fewer == best:  # many numbers pay for themselves with the dispersion allowed for
+        return score
+    node = candidate.grid[fewer]
+    return at_node(fit.linear, candidate, fewer, node, solved, products, weights(fit, candidate, node), cluster)
 
 
 def weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
@@ -73,12 +82,16 @@ def weights(fit: Fit, candidate: JointCandidate, node: Node) -> np.ndarray:
     return candidate.weights(node)[fit.used]
 
 
-def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts) -> Solved:
-    """Solved of all of a candidate's nodes; sinusoids of even orders and steps in time by short cuts."""
+def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float = 0.0) -> Solved:
+    """Solved of all of a candidate's nodes; sinusoids of even orders and steps in time by short cuts: of the many, those that cannot explain
+    `least` are told by a lower bound alone."""
     if candidate.step:
-        return solve_with_prior(_orders(candidate, fit.arms.q[fit.used, candidate.joint], products), candidate.prior(candidate.grid[0]))
-    if candidate.form is Form.STEP:
-        return solve_with_prior(_steps(candidate, fit.arms.t[fit.used], products), candidate.prior(candidate.grid[0]))
+        long = _orders(candidate, fit.arms.q[fit.used, candidate.joint], products)
+    elif candidate.form is Form.STEP:
+        long = _steps(candidate, fit.arms.t[fit.used], products)
+    else:
+        return solved_nodes(fit, candidate, products, candidate.grid)
+    return _promising(long, candidate.prior(candidate.grid[0]), least)
     return solved_nodes(fit, candidate, products, candidate.grid)
 
 
@@ -96,35 +109,74 @@ def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, n
 
 def _finer(fit: Fit, candidate: JointCandidate, products: FrameProducts, node: Node) -> tuple[Node, Solved]:
     """(node, Solved of it) of the best order about a node."""
-    step, top = candidate.step, None
+    reach, order, prior = candidate.step, node[candidate.sought], candidate.prior(node)
+    q = fit.arms.q[fit.used, candidate.joint]
     for _ in range(REFINE):
-        step /= 2
-        near = [{candidate.sought: max(node[candidate.sought] + d * step, SLOWEST)} for d in (-1, 0, 1)]
-        found = solved_nodes(fit, candidate, products, near)
+        orders = np.maximum(order + reach * np.linspace(-1, 1, 2 * FINER + 1), SLOWEST)
+        angles = orders[:, None] * q
+        found = solve_with_prior(framewise(products, np.stack([np.sin(angles), np.cos(angles)], axis=-1)[:, :, None]), prior)
         i = int(np.argmax(found.delta_chi2))
-        node, top = near[i], Solved(found.delta_chi2[i : i + 1], [found.coefficients[i]], found.rank[i : i + 1], found.seen[i : i + 1])
-    return node, top
+        order, reach = float(orders[i]), reach / FINER
+    return {candidate.sought: order}, Solved(found.delta_chi2[i : i + 1], [found.coefficients[i]], found.rank[i : i + 1], found.seen[i : i + 1])
 
 
-def _orders(candidate: JointCandidate, q: np.ndarray, products: FrameProducts) -> Normal:
-    """Normal of sine and cosine at every order of a candidate, multiples of its step."""
+class LongGrid(NamedTuple):
+    """Of s nodes: b (s, q) projections of the residual, G (s, q, q) Gram matrices with the nuisances still in
+    onto : indices (c,) -> (c, q, r) products of these nodes with the nuisances' orthonormal basis"""
+
+    b: np.ndarray
+    G: np.ndarray
+    onto: Callable[[np.ndarray], np.ndarray]
+
+
+def _orders(candidate: JointCandidate, q: np.ndarray, products: FrameProducts) -> LongGrid:
+    """LongGrid of sine and cosine at every order of a candidate, multiples of its step."""
     at = np.round([node[candidate.sought] / candidate.step for node in candidate.grid]).astype(int)
     beta, gamma, kappa = products.beta, products.gamma[:, 0, 0], products.kappa[:, 0]
     first, count = at.min(), np.ptp(at) + 1
-    table = sums(q, np.column_stack([beta, kappa]), candidate.step, first, count)[at - first]
-    table = np.stack([table.imag, table.real], axis=1)  # (s, 2, 1 + p)
+    b = _sine_cosine(sums(q, beta, candidate.step, first, count)[at - first])[..., 0]
     twice = sums(q, gamma[:, None], 2 * candidate.step, first, count)[at - first, 0]
-    whole, K = gamma.sum(), table[:, :, 1:]
+    whole = gamma.sum()
     G = np.stack([whole - twice.real, twice.imag, twice.imag, whole + twice.real], axis=1).reshape(-1, 2, 2) / 2
-    return Normal(table[:, :, 0], G - K @ np.swapaxes(K, 1, 2), np.einsum("sqq->sq", G).copy())
+
+    def onto(chosen: np.ndarray) -> np.ndarray:
+        low, span = at[chosen].min(), np.ptp(at[chosen]) + 1
+        return products.onto(_sine_cosine(sums(q, kappa, candidate.step, low, span)[at[chosen] - low]))
+
+    return LongGrid(b, G, onto)
 
 
-def _steps(candidate: JointCandidate, t: np.ndarray, products: FrameProducts) -> Normal:
-    """Normal of a step at each of a candidate's times."""
+def _sine_cosine(table: np.ndarray) -> np.ndarray:
+    """(s, 2, p) sums with sine and cosine, of sums (s, p) with a complex exponential."""
+    return np.stack([table.imag, table.real], axis=1)
+
+
+def _steps(candidate: JointCandidate, t: np.ndarray, products: FrameProducts) -> LongGrid:
+    """LongGrid of a step at each of a candidate's times."""
     at = np.searchsorted(t, [node[candidate.sought] for node in candidate.grid])
-    b, gamma, kappa = (np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros((1, *part.shape[1:]))])[at]
-                       for part in (products.beta[:, 0], products.gamma[:, 0, 0], products.kappa[:, 0]))
-    return Normal(b[:, None], (gamma - (kappa**2).sum(axis=1))[:, None, None], gamma[:, None].copy())
+
+    def later(part: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.cumsum(part[::-1], axis=0)[::-1], np.zeros((1, *part.shape[1:]))])
+
+    b, G = later(products.beta[:, 0])[at], later(products.gamma[:, 0, 0])[at]
+    return LongGrid(b[:, None], G[:, None, None], lambda chosen: products.onto(later(products.kappa[:, 0])[at[chosen]])[:, None])
+
+
+def _promising(long: LongGrid, prior: np.ndarray, least: float) -> Solved:
+    """Solved of a LongGrid. Nuisances are taken out of the first nodes, which they may swallow nearly whole, and of those that explain most with
+    the nuisances in, as far as `least` is in sight; the others explain at least what they do with these in."""
+    b, G, onto = long
+    raw = np.einsum("sqq->sq", G).copy()
+    bound = solve_with_prior(Normal(b, G, raw), prior)
+    deltas, rank, coefficients = bound.delta_chi2, bound.rank, list(bound.coefficients)
+    top = np.argsort(deltas)[-PROMISING:]
+    chosen = np.union1d(top[SEEN * deltas[top] > least], np.arange(min(SLOW, len(b))))
+    K = onto(chosen)
+    found = solve_with_prior(Normal(b[chosen], G[chosen] - K @ np.swapaxes(K, 1, 2), raw[chosen]), prior)
+    deltas[chosen], rank[chosen] = found.delta_chi2, found.rank
+    for i, own in zip(chosen, found.coefficients):
+        coefficients[i] = own
+    return Solved(deltas, coefficients, rank, bound.seen)
 
 
 def confined(candidate: JointCandidate, nodes: list[Node]) -> JointCandidate:

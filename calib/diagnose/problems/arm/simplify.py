@@ -58,25 +58,32 @@ def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | Non
         best = search(rest, [candidate], cluster=policy.cluster)
         trial = rest.with_terms([Term.of(best[0])]) if best else rest
         if trial.criterion() < now.criterion() + policy.delta_bic * len(cycles):
-            now = fit(now.arms, trial.terms, train, now.scatter, rounds=QUICK)
+            now = fit(now.arms, trial.terms, train, now.weighing, rounds=QUICK)
     return now
 
 
 def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew."""
-    for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID)]:
-        rest, candidate = now.without_terms(_numbers(now, one)), one.candidate
-        if candidate.form is Form.SINUSOID:
-            name = candidate.sought
-            whole = round(one.node[name] / candidate.step) if candidate.step else 0
-            around = range(max(whole - NEIGHBOURS, 1), whole + NEIGHBOURS + 1)
-            near = [{name: k * candidate.step} for k in around] if candidate.step else [one.node]
-            candidate = replace(candidate, grid=near)
-        best = search(rest, [candidate], cluster=policy.cluster)
-        if best and best[0].node != one.node:
-            trial = rest.with_terms([Term.of(best[0])])
-            now = trial if trial.criterion() < now.criterion() else now
-    return fit(now.arms, now.terms, train, now.scatter, rounds=QUICK)
+    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew. A term is looked at
+    again once the scatter has changed to speak of."""
+    for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
+        rest = now.without_terms(_numbers(now, one))
+        best = search(rest, [_about(one)], cluster=policy.cluster)
+        better = best and best[0].node != one.node
+        trial = rest.with_terms([replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))])
+        now = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < now.criterion() else now
+    return fit(now.arms, now.terms, train, now.weighing, rounds=QUICK)
+
+
+def _about(one: Term) -> JointCandidate:
+    """The candidate of a term, confined to nodes near the term's."""
+    candidate, near = one.candidate, [one.node]
+    if candidate.form is Form.PROFILE:
+        here = candidate.grid.index(one.node)
+        near = candidate.grid[max(here - 1, 0) : here + 2]
+    elif candidate.step:
+        whole = round(one.node[candidate.sought] / candidate.step)
+        near = [{candidate.sought: k * candidate.step} for k in range(max(whole - NEIGHBOURS, 1), whole + NEIGHBOURS + 1)]
+    return replace(candidate, grid=near)
 
 
 def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
@@ -90,7 +97,7 @@ def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | N
                 break  # later ones seldom bring more than the first
             here = here.with_terms([Term.of(scores[0])])
             if here.criterion() < worth:
-                now = fit(now.arms, here.terms, train, now.scatter, rounds=QUICK)
+                now = fit(now.arms, here.terms, train, now.weighing, rounds=QUICK)
                 break
     return now
 
