@@ -65,9 +65,11 @@ def makes() -> dict[str, str]:
 def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> ArmTrial:
     """Trial `index` of a season of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
 
-    Raises RigError where nothing comes up in TRIES draws
+    Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
     catalogue = [e for e in ALL if (not effects or e.name in effects) and "axis" in e.places and e.stage in MOTION_STAGES and not e.moving]
+    if not catalogue:
+        raise RigError(f"--effects: none of {', '.join(effects)} shows in poses of an arm at rest")
     kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
     for attempt in range(TRIES):
         try:
@@ -132,8 +134,8 @@ def write_recording(trial: ArmTrial, folder: Path) -> None:
     rng, done, n = trial.rng, trial.simulation, len(trial.simulation.plan.t)
     noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in trial.hard else rng.normal(size=(n, 6))
     if "wild" in trial.hard:
-        wild = rng.random(n) < rng.uniform(*WILD)
-        noise[wild] += WILDER * rng.choice([-1.0, 1.0], (int(wild.sum()), 6))
+        wild = rng.choice(n, max(round(n * rng.uniform(*WILD)), 1), replace=False)
+        noise[wild] += WILDER * rng.choice([-1.0, 1.0], (len(wild), 6))
     T = done.run.T_base_platform * exp(np.repeat(trial.sigma, 3) * noise)
     seen = rng.random(n) >= FEWER if "missing" in trial.hard else np.ones(n, bool)
     plan, log = done.plan, done.log

@@ -11,6 +11,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,8 @@ from rig.processes import cores, end_waiting, finished
 
 if TYPE_CHECKING:
     from types import ModuleType
+
+    import numpy as np
 
     from synthetic.score import Case
 
@@ -43,9 +46,11 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="another seed is another season")
     parser.add_argument("--trials", metavar="LIST", help="only these of the season, for example 3,7-9")
     parser.add_argument("--frames", type=int, help="of each recording, about (default 380)")
-    parser.add_argument("--hide", metavar="KINDS", default="nothing,one,two,foreign,noise", help="what trials may hide (default all): nothing, one, "
-                        "two effects, something foreign to the catalogue, disturbed noise")
+    parser.add_argument("--hide", metavar="KINDS", help="what trials may hide (default all): nothing, one, two effects; of hexapods also "
+                        "something foreign to the catalogue (foreign), disturbed noise (noise)")
     parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
+    parser.add_argument("--mechanism", choices=("hexapod", "arm"), default="hexapod", help="of the rigs (default hexapod): an arm's trials hide "
+                        "nothing, one or two effects of its joints, a third of them under real recordings' hardships; no --blindfold")
     parser.add_argument("--blindfold", metavar="WHAT", default="", help="take away, joined by commas: temperature, payload, reversals, motion")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
@@ -55,9 +60,9 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Seal the trials, diagnose each in a process that cannot read the truth, unseal and score."""
-    from synthetic import blind, score
+    from synthetic import blind, blind_arm, score
 
-    settings = _settings(arguments, blind)
+    settings = _settings(arguments, blind, blind_arm)
     indices = _indices(arguments.trials, arguments.season)
     out = arguments.outputs.growing(arguments.out, own=(arguments.out / "season.json").exists()).resolve()
     _same_season(out / "season.json", settings)
@@ -79,23 +84,28 @@ def run(arguments: Namespace) -> None:
     _report(out, settings, cases, score)
 
 
-def _settings(arguments: Namespace, blind: ModuleType) -> dict:
+def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) -> dict:
     """What makes a season: all that its recordings depend on."""
     from rig.effects import BY_NAME
 
     if not 1 <= arguments.season <= MOST or arguments.jobs < 1 or not 0 <= arguments.seed < 1 << 63:
         raise RigError(f"--season takes 1 to {MOST}, --jobs at least 1, --seed at least 0 and below 2^63")
-    frames = blind.FRAMES if arguments.frames is None else arguments.frames
+    arm = arguments.mechanism == "arm"
+    frames = (blind_arm.FRAMES if arm else blind.FRAMES) if arguments.frames is None else arguments.frames
     if not 40 <= frames <= MOST_FRAMES:
         raise RigError(f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses")
-    lists = {name: [part.strip() for part in getattr(arguments, name).split(",") if part.strip()] for name in ("hide", "effects", "blindfold")}
-    for name, known in (("hide", blind.KINDS), ("effects", BY_NAME), ("blindfold", blind.BLINDFOLDS)):
+    kinds = blind_arm.KINDS if arm else blind.KINDS
+    texts = {name: getattr(arguments, name) for name in ("hide", "effects", "blindfold")} | ({"hide": ",".join(kinds)} if arguments.hide is None else {})
+    lists = {name: [part.strip() for part in text.split(",") if part.strip()] for name, text in texts.items()}
+    for name, known in (("hide", kinds), ("effects", BY_NAME), ("blindfold", blind.BLINDFOLDS)):
         for part in lists[name]:
             if part not in known:
                 raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
     if not lists["hide"]:
-        raise RigError(f"--hide takes some of {', '.join(blind.KINDS)}")
-    return {"seed": arguments.seed, "frames": frames, **lists}
+        raise RigError(f"--hide takes some of {', '.join(kinds)}")
+    if arm and lists["blindfold"]:
+        raise RigError("--blindfold takes covariates of a hexapod away; with --mechanism arm leave it out")
+    return {"seed": arguments.seed, "frames": frames, **({"mechanism": "arm"} if arm else {}), **lists}
 
 
 def _indices(text: str | None, count: int) -> list[int]:
@@ -125,20 +135,40 @@ def _same_season(path: Path, settings: dict) -> None:
 
 def seal(out: Path, index: int, settings: dict) -> None:
     """Draw a trial and write its recording, its truth, and last the truth's hash: from then on the trial is sealed."""
-    from calib.diagnose.problems.platform.strength import strengths
-    from rig import recording
     from rig.files import Outputs, write_text
-    from synthetic import blind
 
     out = Path(out)
-    trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"])
-    folder, truth, world = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json", trial.simulation.world
+    folder, truth = out / "recordings" / f"{index:04d}", out / "truth" / f"{index:04d}.json"
+    trial_of = _arm_trial if settings.get("mechanism") == "arm" else _trial
     with Outputs("blind", force=True) as outputs:
-        staged = outputs.folder(folder)
-        blind.write_recording(trial, staged)
-        values = strengths(recording.load(staged), world.true, trial.noise, world.effects, trial.simulation.sensors)
-    blind.write_truth(trial, truth, index=index, settings=settings, strengths=values.tolist())
+        write_truth, strengths = trial_of(index, settings, outputs.folder(folder))
+    write_truth(truth, index=index, settings=settings, strengths=strengths.tolist())
     write_text(_seal(out, index), f"{sha256(truth.read_bytes()).hexdigest()}  ../truth/{truth.name}\n")
+
+
+def _trial(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+    """(what writes the truth of a hexapod's trial, its effects' strengths), its recording written."""
+    from calib.diagnose.problems.platform.strength import strengths
+    from rig import recording
+    from synthetic import blind
+
+    trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"])
+    blind.write_recording(trial, folder)
+    world = trial.simulation.world
+    values = strengths(recording.load(folder), world.true, trial.noise, world.effects, trial.simulation.sensors)
+    return partial(blind.write_truth, trial), values
+
+
+def _arm_trial(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None], np.ndarray]:
+    """The same of an arm's trial."""
+    from calib.diagnose.problems.arm.strength import strengths
+    from synthetic import blind_arm
+
+    trial = blind_arm.draw(settings["seed"], index, settings["frames"], settings["hide"], settings["effects"])
+    blind_arm.write_recording(trial, folder)
+    done = trial.simulation
+    seen = trial.sigma[: 1 if "positions" in trial.hard else 2]
+    return partial(blind_arm.write_truth, trial), strengths(done.world.true, done.plan.commands, done.plan.t, seen, done.world.effects, done.sensors)
 
 
 def _sealed(out: Path, index: int, settings: dict) -> None:

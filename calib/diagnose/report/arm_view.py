@@ -81,8 +81,10 @@ class ArmView:
     def measurement(self) -> list[tuple[str, Any]]:
         """Where poses came from, and how well they repeat."""
         d = self.diagnosis
-        again = [] if d.repeats is None else [("the same command given again comes back within",
+        again: list[tuple[str, Any]] = [] if d.repeats is None else [("the same command given again comes back within",
                                                f"{d.repeats.mean * 1e6:.1f} µm ({d.repeats.pairs} pairs)")]
+        if d.fit.scatter[0] > 0:
+            again.append(("beyond what the instrument states, poses scatter by", f"{np.sqrt(3) * d.fit.scatter[0] * 1e6:.1f} µm"))
         return [("poses from", d.source), ("poses", len(d.arms)), ("time", f"{np.ptp(d.arms.t) / 60:.1f} min"),
                 ("sensors", ", ".join(d.arms.channels) or "none"), *again]
 

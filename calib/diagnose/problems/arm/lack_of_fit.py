@@ -16,7 +16,7 @@ CERTAIN = 30.0  # standard errors, from which a chance is as good as none
 
 
 def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1) -> list[LackOfFit]:
-    """[LackOfFit] that the residuals of a Fit still hold, the largest first; last, scatter beyond the instrument's own.
+    """[LackOfFit] that the residuals of a Fit still hold, the largest first; last, scatter beyond the instrument's own that comes again.
 
     again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
     """
@@ -44,12 +44,14 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
 
 
 def _scatter(fit: Fit, again: Repeats | None) -> list[LackOfFit]:
-    if fit.scatter[0] <= 0:
+    """Scatter beyond the instrument's own, where it comes again with the same command; where it does not, or no command was given twice, the
+    instrument may as well be noisier than is stated of it, which is no physics left out: it is told as noise."""
+    if fit.scatter[0] <= 0 or again is None or again.p_value >= ALPHA:
         return []
     own = np.einsum("nkk->nk", fit.arms.own)[:, :3].mean()
-    depends = ("configuration",) if again is not None and again.p_value < ALPHA else ()
     ratio = (fit.scatter[0] ** 2 / own) * np.sqrt(1.5 * fit.used.sum())
-    return [LackOfFit("rig", float(fit.scatter[0] * np.sqrt(3)), "m", depends, float(np.exp(-0.5 * min(ratio, CERTAIN) ** 2)), float(ratio**2))]
+    chance = float(np.exp(-0.5 * min(ratio, CERTAIN) ** 2))
+    return [LackOfFit("rig", float(fit.scatter[0] * np.sqrt(3)), "m", ("configuration",), chance, float(ratio**2))]
 
 
 def _hats(t: np.ndarray) -> np.ndarray:
