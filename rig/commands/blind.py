@@ -95,7 +95,8 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
     if not 40 <= frames <= MOST_FRAMES:
         raise RigError(f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses")
     kinds = blind_arm.KINDS if arm else blind.KINDS
-    texts = {name: getattr(arguments, name) for name in ("hide", "effects", "blindfold")} | ({"hide": ",".join(kinds)} if arguments.hide is None else {})
+    hide = ",".join(kinds) if arguments.hide is None else arguments.hide
+    texts = {"hide": hide, "effects": arguments.effects, "blindfold": arguments.blindfold}
     lists = {name: [part.strip() for part in text.split(",") if part.strip()] for name, text in texts.items()}
     for name, known in (("hide", kinds), ("effects", BY_NAME), ("blindfold", blind.BLINDFOLDS)):
         for part in lists[name]:

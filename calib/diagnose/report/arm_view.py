@@ -68,8 +68,8 @@ class ArmView:
         parts: list[Part] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
         if d.findings:
             parts += ["<h3>What each finding brings on poses held out</h3>", self._proofs(),
-                      "<h3>What single poses suffer from</h3><p>The poses that all findings together displace most, for each finding a bar, the biggest "
-                      "first. contributions.csv has them for every pose.</p>", arm_contributions.picture(d)]
+                      "<h3>What single poses suffer from</h3><p>The poses that all findings together displace most, for each finding a bar, the "
+                      "biggest first. contributions.csv has them for every pose.</p>", arm_contributions.picture(d)]
         aside = d.arms.frame[d.fit.aside]
         if len(aside):
             parts.append(f"<p>{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}.</p>")
@@ -96,8 +96,8 @@ class ArmView:
             found = [d.cross_validations[i], *(row[i] for row in d.regions)]
             rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
         joints = [f"joint {j + 1}" for j in range(len(d.regions))]
-        note = ("<p class=note>µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle "
-                "is not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.</p>")
+        note = ("<p class=note>µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own "
+                "angle is not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.</p>")
         return table(("finding", "held out: time", *joints), rows) + note
 
     def _errors(self) -> Figure:
