@@ -17,7 +17,7 @@ LOOKED_AT = 2000  # rows by which a dialect is told; every row must have as many
 MOST_COLUMNS = 1000
 LONGEST = 100  # characters of a number
 LONGEST_CELL = 300  # characters
-NUMBER = {"point": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?"), "comma": re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d{1,3})?")}
+NUMBER = {"point": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?"), "comma": re.compile(r"[+-]?(\d+(,\d*)?|,\d+)([eE][+-]?\d{1,3})?")}
 TORN = re.compile(r"\d[;\t, ]+[-+]?[\d.,]")  # a cell that another separator would part
 DATE = re.compile(r"\d{4}-?\d\d-?\d\d([T ]\d\d.*)?")
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
@@ -147,9 +147,9 @@ def _split(line: str, separator: str) -> list[str]:
 
 def _fit(rows: list[list[str]], decimal: str) -> bool:
     header, *body = rows
-    if not 2 <= len(header) <= MOST_COLUMNS or NUMBER["point"].fullmatch(header[0]) or len({len(row) for row in rows}) > 1:
+    if not 2 <= len(header) <= MOST_COLUMNS or len({len(row) for row in rows}) > 1:
         return False
-    if any(len(cell) > LONGEST_CELL for row in rows for cell in row):
+    if any(len(cell) > LONGEST_CELL for row in rows for cell in row) or NUMBER["point"].fullmatch(header[0]):
         return False
     figures = 0
     for row in body:

@@ -55,7 +55,8 @@ def one(name: str, inputs: int, out: Path, seed: int) -> None:
             return atheris.Mutate(data, most)
         return mutated(data, reader.seeds, rng)[:most]
 
-    confined().__enter__()  # until the process ends
+    limits = confined()  # held until the process ends: a limit that nobody holds is lifted
+    limits.__enter__()
     atheris.Setup([sys.argv[0], f"-runs={inputs}", f"-max_len={LONGEST}", f"-seed={seed}", "-rss_limit_mb=0", "-timeout=60", "-verbosity=0",
                    "-print_final_stats=1",
                    str(corpus)], feed, custom_mutator=mutator)
