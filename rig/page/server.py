@@ -22,8 +22,8 @@ FILES = {"/": ("page.html", "text/html; charset=utf-8"), "/page.js": ("page.js",
          "/view3d.js": ("view3d.js", "text/javascript; charset=utf-8"), "/page.css": ("page.css", "text/css; charset=utf-8")}
 HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY",
            "Cross-Origin-Resource-Policy": "same-origin",
-           "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
-                                      "form-action 'none'; frame-ancestors 'none'"}
+           "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+                                      "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"}
 ALIVE = 10.0  # s between signs of life on a line without events
 LINES = 16  # browsers that may listen at a time
 
