@@ -10,7 +10,7 @@ import numpy as np
 
 from rig import design_file, machine, mechanisms
 from rig.configurations import low_discrepancy
-from rig.design import Design
+from rig.design import Arm, Design, Instrument
 from rig.effects import ALL
 from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.drawing import Drawing, log_uniform
@@ -93,7 +93,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     if "level" in hard:
         plan, route = "level", settled(_level(design, frames, rng), mechanisms.of(design.mechanism).home(design.mechanism), 0.5)
     else:
-        ladder = 4 * len(design.mechanism.joints)
+        ladder = 4 * len(_arm(design).joints)
         plan = f"sobol:{max(frames - ladder - 20, 20)},ladder:1,repeat:20"
         route = build(design, plan, int(rng.integers(1 << 30)))
     effects = [_effect(e, design, route, rng) for e in hidden]
@@ -101,6 +101,11 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
         raise RigError("the same effect twice at one place")
     done = simulation.simulate(world.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
     return ArmTrial(kind, make, done, text, sigma, hard, plan, rng)
+
+
+def _arm(design: Design) -> Arm:
+    assert isinstance(design.mechanism, Arm)
+    return design.mechanism
 
 
 def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
@@ -111,7 +116,7 @@ def _hardships(make: str, rng: np.random.Generator) -> tuple[str, ...]:
 
 def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 6) rad of an arm with three parallel axes whose hand points down all the time and turns about the vertical alone."""
-    q = low_discrepancy(design.mechanism.limits, count, 0.8, seed=int(rng.integers(1 << 30)))
+    q = low_discrepancy(_arm(design).limits, count, 0.8, seed=int(rng.integers(1 << 30)))
     q[:, 3], q[:, 4] = -np.pi / 2 - q[:, 1] - q[:, 2], -np.pi / 2
     return q[rng.permutation(count)]
 
@@ -141,14 +146,17 @@ def write_recording(trial: ArmTrial, folder: Path) -> None:
     plan, log = done.plan, done.log
     if "untimed" in trial.hard:
         plan, log = _untimed(plan), Sensors(done.log.t, {})
-    stated = replace(done.world.stated, instrument=replace(done.world.stated.instrument, position_sigma=0.0, **_turns(done.world.stated)))
+    stated = replace(done.world.stated, instrument=_exact(done.world.stated))
     shown = replace(done, plan=replace(plan, t=plan.t[seen]), log=log, run=replace(done.run, T_base_platform=T[seen]),
                     world=replace(done.world, stated=stated))
     simulation.write(shown, folder, trial.text, rng)
 
 
-def _turns(design: Design) -> dict[str, float]:
-    return {} if design.instrument.rotation_sigma is None else {"rotation_sigma": 0.0}
+def _exact(design: Design) -> Instrument:
+    """The design's instrument without noise: poses are written as they are."""
+    instrument = design.instrument
+    assert instrument is not None
+    return replace(instrument, position_sigma=0.0, rotation_sigma=None if instrument.rotation_sigma is None else 0.0)
 
 
 def _untimed(plan: Plan) -> Plan:
