@@ -11,7 +11,8 @@ from calib.mistakes.rough import placed
 from rig.design import Arm, Instrument
 from rig.mechanisms import arm as mechanism
 from rig.mistakes.mistake import Mistake, in_order
-from rig.mistakes.motion import LIKELY, other_poses, written
+from rig.mistakes.motion import LIKELY, written
+from rig.mistakes.pose_readings import other_poses
 from rig.pose import vector
 from rig.recording import Recording
 

@@ -47,9 +47,22 @@ def begin(arguments: argparse.Namespace) -> "tuple[Recording, Callable[[Corners]
 
         judge(looked(recording, corners), anyway)
 
+    if recording.has_images and recording.corners is None and recording.design.targets:
+        from vision.mistakes.images import misread
+
+        judge(misread(recording), anyway)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         judge(of_poses(recording), anyway)
     return recording, look
+
+
+def some_corners(recording: "Recording") -> "Corners | None":
+    """Corners read in some frames' images; None where there are none."""
+    if not recording.has_images or not recording.design.targets:
+        return None
+    from vision.mistakes.images import read
+
+    return read(recording)[0]
 
 
 def of_poses(recording: "Recording") -> tuple[Mistake, ...]:

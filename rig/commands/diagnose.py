@@ -37,8 +37,9 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look = checking.begin(arguments)
-    if recording.corners is not None:
-        look(recording.corners)
+    corners = recording.corners if recording.corners is not None else checking.some_corners(recording)
+    if corners is not None:
+        look(corners)
     for text in (arguments.only or []) + arguments.without:
         asked(text, recording.design)
     out = arguments.outputs.folder(arguments.out)

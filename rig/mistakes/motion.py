@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, minimize_scalar
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import table
 from rig.design import Hexapod
 from rig.mechanisms import hexapod as kinematics
 from rig.mistakes.mistake import Mistake
+from rig.mistakes.pose_readings import other_poses
 from rig.observed import POSE_COLUMNS
 from rig.recording import Commands, Recording
 
@@ -22,6 +23,9 @@ SMALL = 1e-3  # m, RMS of a disagreement that is always a calibration's matter
 LIKELY = 0.85  # proof of a mistake that explains all: figures that are impossible by themselves go first
 BETTER = 0.35  # of the disagreement that a mistake named may leave
 SURE = 0.15  # m; beyond, lengths are not in metres or not of this machine
+SCALES, SCALED = (0.75, 1.33), 0.03  # of joints' distances from the axis that are tried; beyond the second it is a mistake
+ALIKE = 1.3  # times the least disagreement, within which two mistakes explain as much
+SHIFTED, CLOCK = "the frames are shifted by", "the frames' clock"
 SHIFTS = (-3, -2, -1, 1, 2, 3)
 LAG = 0.5  # s; clocks that differ by less are an effect, not a mistake
 STEPS = 1500  # clock offsets tried
@@ -94,6 +98,9 @@ def mistakes(moves: Moves) -> Iterator[Mistake]:
     before = moves.miss()
     tried = [(other.miss(), what, do) for what, do, other in _candidates(moves)]
     left, what, do = min(tried, key=lambda one: one[0], default=(np.inf, "", ""))
+    shifts = [one for one in tried if SHIFTED in one[1] and one[0] < ALIKE * left]
+    if shifts and CLOCK in what:  # an offset of clocks, being fitted, is as good wherever frames are evenly spaced
+        left, what, do = min(shifts, key=lambda one: one[0])
     said = f"commands and measured poses differ by {before * 1e3:.3g} mm"
     if left < BETTER * before and left < max(AWAY, 0.3 * before):
         yield Mistake(f"{what}: {said} RMS as it stands, by {left * 1e3:.3g} mm so", do, True, LIKELY * (1 - left / before))
@@ -190,9 +197,21 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
             yield other(f"{name} are in {unit}", f"Multiply them by {factor:g}", *put(joints * factor))
         for factor, what in ((0.5, "diameters instead of radii"), (2.0, "half of what they should be")):
             yield other(f"{name} are {what}", f"Multiply them by {factor:g}", *put(joints * [factor, factor, 1]))
+        yield from _scaled(moves, name)
     both = np.stack([base, platform])
     for what, J in (("mirrored in x", both * [-1, 1, 1]), ("mirrored in y", both * [1, -1, 1])):
         yield other(f"base_joints and platform_joints are {what}", "Mirror them back", J[0], J[1])
+
+
+def _scaled(moves: Moves, name: str) -> Iterator[Candidate]:
+    """The joints of one side nearer to its axis or farther, by the share that agrees best."""
+    def wider(share: float) -> Moves:
+        return replace(moves, mechanism=replace(moves.mechanism, **{name: getattr(moves.mechanism, name) * [share, share, 1]}))
+
+    best = minimize_scalar(lambda share: wider(share).miss(), bounds=SCALES, method="bounded").x
+    if abs(best - 1) > SCALED:
+        yield (f"rig.toml: {name} are {abs(1 / best - 1):.0%} too {'large' if best < 1 else 'small'}",
+               f"Measure them again: times {best:.3f} they agree", wider(best))
 
 
 def _clocks(moves: Moves) -> Iterator[Candidate]:
@@ -211,7 +230,7 @@ def _clocks(moves: Moves) -> Iterator[Candidate]:
     if abs(best) > LAG:
         quarters = abs(best) / QUARTER
         zone = f" ({round(quarters) / 2:g} hours: time zones?)" if abs(quarters - round(quarters)) * QUARTER < 5 and abs(best) > 1000 else ""
-        yield (f"frames.csv: the frames' clock is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
+        yield (f"frames.csv: {CLOCK} is {abs(best):.4g} s {'behind' if best > 0 else 'ahead of'} the commands'{zone}",
                f"{'Add' if best > 0 else 'Subtract'} {abs(best):.4g} s to t of frames.csv, or log both by one clock",
                replace(moves, q=moves.at(t + best)))
 
@@ -220,7 +239,7 @@ def _frames(moves: Moves) -> Iterator[Candidate]:
     """The same frames in another order: shifted by some, run backwards, two exchanged, sorted by name, shuffled."""
     last, do = len(moves.times) - 1, "Look at how images or poses were numbered: one missing or one too many at the start shifts all"
     for by in SHIFTS:
-        yield (f"frames.csv: the frames are shifted by {abs(by)}: frame k shows what was commanded for frame k {'+' if by > 0 else '-'} {abs(by)}",
+        yield (f"frames.csv: {SHIFTED} {abs(by)}: frame k shows what was commanded for frame k {'+' if by > 0 else '-'} {abs(by)}",
                do,
                _only(replace(moves, q=moves.at(moves.times[np.clip(moves.index + by, 0, last)])),
                      (moves.index + by >= 0) & (moves.index + by <= last)))
@@ -254,31 +273,3 @@ def _poses(moves: Moves) -> Iterator[Candidate]:
         return
     for what, T in other_poses(moves.vector):
         yield f"poses.csv: {what}", "Write platform in base: m, and rotation vectors in rad", replace(moves, T=T)
-
-
-def other_poses(v: np.ndarray) -> Iterator[tuple[str, RigidTransform]]:
-    """(what, RigidTransform (n,)) of other readings of poses.csv's six columns v (n, 6)."""
-    p, r = v[:, :3], v[:, 3:]
-    vectors = Rotation.from_rotvec(r)
-    yield "poses are inverted (base in platform)", RigidTransform.from_components(p, vectors).inv()
-    yield "rotations are inverted", RigidTransform.from_components(p, vectors.inv())
-    yield "rotation vectors are in degrees", RigidTransform.from_components(p, Rotation.from_rotvec(np.radians(r)))
-    for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254)):
-        yield f"positions are in {unit}", RigidTransform.from_components(p * factor, vectors)
-    for degrees, unit in ((False, ""), (True, " in degrees")):
-        for seq in ("xyz", "zyx", "XYZ", "ZYX", "zxz", "ZYZ"):
-            named = f"{seq.lower()} {'about fixed axes' if seq.islower() else 'about moving axes'}"
-            yield f"rotations are Euler angles ({named}{unit}), not rotation vectors", RigidTransform.from_components(
-                p, Rotation.from_euler(seq, r, degrees=degrees))
-        yield f"rotations are Euler angles (rz ry rx as columns{unit}), not rotation vectors", RigidTransform.from_components(
-            p, Rotation.from_euler("ZYX", r, degrees=degrees))
-    if (np.linalg.norm(r, axis=1) <= 1 + 1e-6).all():
-        w = np.sqrt(np.maximum(1 - (r**2).sum(axis=1), 0))
-        yield "rotations are the vector part of quaternions, not rotation vectors", RigidTransform.from_components(
-            p, Rotation.from_quat(np.column_stack([r, w])))
-    for order, names in (((1, 0, 2), "x and y"), ((0, 2, 1), "y and z"), ((2, 1, 0), "x and z")):
-        yield f"{names} of positions are exchanged", RigidTransform.from_components(p[:, order], vectors)
-    for axis in range(3):
-        turned = p.copy()
-        turned[:, axis] *= -1
-        yield f"the sign of {'xyz'[axis]} is reversed", RigidTransform.from_components(turned, vectors)

@@ -7,18 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import table
+from rig import design_file, table
 from rig.errors import FileError, RigError
 from rig.mistakes import clocks, stated
 from rig.mistakes.mistake import Mistake, in_order
 
+SPREAD = {"arm": 0.4, "hexapod": 0.08, "planar2": 0.3}  # of the rig's size, that poses of a recording have about their middle, RMS
 FILES = ("commands.csv", "frames.csv", "sensors.csv")
 
 
 def unreadable(folder: Path, error: FileError) -> tuple[Mistake, ...]:
     """Mistakes behind a FileError that loading a folder raised, in order; none where the complaint says it all."""
     found: list[Mistake] = []
-    for look in (_figures, _times, _numbers, _order):
+    for look in (_figures, _times, _numbers, _order, _poses):
         try:
             found += look(Path(folder), str(error))
         except (RigError, OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -40,6 +41,19 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     m = tree.get("mechanism", {})
     if "home" in complaint and m.get("kind") == "hexapod":
         yield from _home(m)
+
+
+def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
+    """poses.csv: positions that spread as the rig's size would in another unit."""
+    if "poses.csv" not in complaint or "implausible" not in complaint:
+        return
+    m = design_file.load(folder / "rig.toml").mechanism
+    size = float(np.abs(m.joints[:, 1:3]).sum() if m.kind == "arm" else m.strut_range.max())
+    p = table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
+    spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
+    unit, per = min((("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1])))
+    yield Mistake(f"poses.csv: positions are in {unit}: they spread by {spread * SPREAD[m.kind] * size:.3g}, and the rig measures {size:.3g} m",
+                  f"Divide them by {per:g}: poses are in metres", True, 0.9)
 
 
 def _home(m: dict) -> Iterator[Mistake]:

@@ -306,3 +306,31 @@ simple("arm: a and d exchanged", "arm", "a and d are exchanged", lambda f: rig(f
 def _(f: Path) -> None:
     header, body = rows(f / "poses.csv")
     write(f / "poses.csv", header, [[row[0], *other[1:]] for row, other in zip(body, body[1:])])
+
+
+# -- those that hide
+def faces(tree: dict) -> None:
+    numbers = tree["target"][0]["faces"]
+    numbers["+x"], numbers["-x"] = numbers["-x"], numbers["+x"]
+
+
+def wider(name: str) -> Callable[[Path], None]:
+    return lambda f: rig(f, lambda t: t["mechanism"].update({name: (np.array(t["mechanism"][name]) * 1.1).tolist()}))
+
+
+@case("frames shifted by two", "corners", "shifted by 2")
+def _(f: Path) -> None:
+    header, body = rows(f / "frames.csv")
+    per = 2 * len({row[2] for row in body})
+    times = [row[1] for row in body]
+    for row, t in zip(body, times[per:] + [repr(float(times[-1]) + 5 * (1 + 2 * k // per)) for k in range(per)]):
+        row[1] = t
+    write(f / "frames.csv", header, body)
+
+
+simple("faces +x and -x exchanged", "corners", "faces \\+x and -x of cube P1 are exchanged", lambda f: rig(f, faces))
+simple("base joints 10 % large", "corners", "base_joints are (9|10|11)% too large", wider("base_joints"))
+simple("arm: poses in cm", "arm", "positions are in centimetres", lambda f: columns(f / "poses.csv", ("x", "y", "z"), lambda p: p * 100))
+simple("edges 20 mm large", "corners", "edge of all cubes is stated about 20 mm too large", lambda f: rig(f, lambda t: each(
+    t, "target", "edge", lambda e: e + 0.02)))
+simple("focal length x 1.3", "corners", "focal length is about a third too large", cameras(matrix(lambda fx, fy, cx, cy: (1.3 * fx, 1.3 * fy, cx, cy))))

@@ -19,7 +19,8 @@ from tests.mistakes.matrix import CASES, Case
 
 QUICK = ("lengths in mm", "struts in another order", "frames in ms", "frames an hour late", "u and v exchanged", "camera poses exchanged",
          "markers 1.5 % small", "gravity upwards", "temperatures in Kelvin", "an unused camera", "edge and marker exchanged", "ids off by one",
-         "poses inverted", "arm: joint 3 with the other sign", "arm: poses shifted by one", "an image twice")
+         "poses inverted", "arm: joint 3 with the other sign", "arm: poses shifted by one", "an image twice",
+         "faces +x and -x exchanged", "base joints 10 % large", "arm: poses in cm")
 LEAST = 55  # of the matrix, named as what they are
 
 
@@ -86,6 +87,15 @@ def test_measure_refuses_what_is_spoilt_and_does_it_anyway(good, tmp_path):
     assert status == 1 and "scale of print" in text.splitlines()[0] and not (tmp_path / "out" / "poses.csv").exists()
     status, text = said("measure", folder, "--out", tmp_path / "out", "--anyway")
     assert status == 0 and "scale of print" in text.splitlines()[0] and (tmp_path / "out" / "poses.csv").exists()
+
+
+@pytest.mark.parametrize("command", ["measure", "diagnose"])
+def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, tmp_path):
+    folder = tmp_path / "rec"
+    shutil.copytree(good("images"), folder)
+    next(case for case in CASES if case.name == "another dictionary for one cube").spoil(folder)
+    status, text = said(command, folder, "--out", tmp_path / "out")
+    assert status == 1 and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0] and not (tmp_path / "out").exists()
 
 
 def test_an_unlikely_thing_is_a_remark(good, tmp_path):

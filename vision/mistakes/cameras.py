@@ -140,6 +140,8 @@ _LENSES = (
     ("the matrix is of images of twice the size", "Scale the matrix with the images", _scaled(0.5)),
     ("the focal length is half of what it should be", "State it in pixels", _focal(2.0)),
     ("the focal length is twice what it should be", "State it in pixels", _focal(0.5)),
+    ("the focal length is about a third too large", "State it in pixels, of these images", _focal(1 / 1.3)),
+    ("the focal length is about a quarter too small", "State it in pixels, of these images", _focal(1.3)),
     ("the sign of the distortion is reversed", _LENS, _terms(lambda d: -d)),
     ("distortion is in another order (k1 k2 k3 p1 p2)", _LENS, _terms(lambda d: d[[0, 1, 3, 4, 2]])),
     ("distortion is in another order (k1 p1 k2 p2 k3)", _LENS, _terms(lambda d: d[[0, 2, 1, 3, 4]])),

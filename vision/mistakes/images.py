@@ -9,7 +9,7 @@ import numpy as np
 from rig.errors import FileError
 from rig.mistakes import Mistake
 from rig.recording import Corners, Recording
-from vision.corners.detect import detect, dictionary_reader
+from vision.corners.detect import Detection, detect, dictionary_reader
 from vision.mistakes.sample import FRAMES
 from vision.reading.collect import image_reader
 from vision.targets import MarkerMap, marker_map
@@ -18,16 +18,42 @@ FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", 
             "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12")
 TRIED = 6  # images in which other dictionaries are tried
 LEAST = 3  # sightings of an identity of the rig in another dictionary, from which that is named
+FEW = 3  # frames looked at before anything is measured
+SURE = 0.7  # proof from which that is said
 OFF = 0.3  # px by which corners.csv may differ from what is read in the images, in the middle
 
 
 def read(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
     """(Corners of some frames' images, None where there are none; Mistakes that the images show by themselves)."""
+    markers = marker_map(recording.design)
+    sights, found = _sights(recording, markers, FRAMES)
+    rows = [(frame, name, int(number), k) for frame, name, _, seen in sights for number in seen.marker for k in range(4)]
+    found += dictionaries([image for _, _, image, _ in sights], Counter(number for _, _, number, k in rows if k == 0), markers)
+    if not rows:
+        return None, found
+    frame, name, number, corner = zip(*rows)
+    uv = np.concatenate([seen.corners.reshape(-1, 2) for *_, seen in sights if len(seen.marker)])
+    corners = Corners(np.array(frame), list(name), np.array(number), np.array(corner), uv, None)
+    return corners, found + list(_against(recording.corners, corners))
+
+
+def misread(recording: Recording) -> list[Mistake]:
+    """What a few frames' images surely say of dictionaries, identities and mirrors: what no measuring recovers from."""
+    markers = marker_map(recording.design)
+    sights, _ = _sights(recording, markers, FEW)
+    seen = Counter(int(number) for *_, one in sights for number in one.marker)
+    return [one for one in dictionaries([image for _, _, image, _ in sights], seen, markers) if one.spoils and one.proof >= SURE]
+
+
+Sight = tuple[int, str, np.ndarray, Detection]
+
+
+def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[Sight], list[Mistake]]:
+    """((frame, camera, image, what was detected) of the images of some frames; Mistakes: images that cannot be read)."""
     e, frames = recording.exposures, recording.exposures.times()[0]
-    markers, reader = marker_map(recording.design), image_reader(recording)
-    picked = frames[np.unique(np.linspace(0, len(frames) - 1, min(FRAMES, len(frames))).round().astype(int))]
-    rows: list[tuple[int, str, int, int]] = []
-    uv, images, found = [], [], []
+    reader = image_reader(recording)
+    picked = frames[np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))]
+    sights, found = [], []
     for frame, name in dict.fromkeys(zip(e.frame.tolist(), e.camera)):
         if frame not in picked or not name:
             continue
@@ -37,18 +63,9 @@ def read(recording: Recording) -> tuple[Corners | None, list[Mistake]]:
             found.append(Mistake(str(error), "Replace the image, or leave its row out of frames.csv", True, 0.9))
             continue
         camera = recording.design.camera(name)
-        if image is None or image.shape != (camera.height, camera.width):
-            continue
-        images.append((frame, name, image))
-        seen = detect(image, camera, markers)
-        rows += [(frame, name, int(number), k) for number in seen.marker for k in range(4)]
-        uv += list(seen.corners.reshape(-1, 2))
-    found += dictionaries([image for *_, image in images], Counter(number for _, _, number, k in rows if k == 0), markers)
-    if not rows:
-        return None, found
-    frame, name, number, corner = zip(*rows)
-    corners = Corners(np.array(frame), list(name), np.array(number), np.array(corner), np.array(uv), None)
-    return corners, found + list(_against(recording.corners, corners))
+        if image is not None and image.shape == (camera.height, camera.width):
+            sights.append((frame, name, image, detect(image, camera, markers)))
+    return sights, found
 
 
 def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:

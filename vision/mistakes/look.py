@@ -1,5 +1,6 @@
 """What a recording's corners say of its user's mistakes: a few frames as stated, and where they disagree, as any mistake would have them."""
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -25,6 +26,7 @@ HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners
 BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
 BETTER = 0.35  # of the misfit that a mistake named may leave
 DONE = 0.5  # px; a mistake that leaves less explains all
+SEARCH = 8.0  # s of processor time, after which no more mistakes are tried
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
 NEARER = 0.25  # of that, which a mistake named may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
@@ -64,7 +66,8 @@ def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
                                 LIKELY * (1 - other.misfit / first.misfit))], other
     if sized:
         return sized, best
-    if first.misfit > UNEXPLAINED and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
+    bound = GROSS if targets.suspicious(first) else UNEXPLAINED
+    if first.misfit > bound and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
         return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and no usual mistake "
                         "explains "
                         "it", "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
@@ -113,11 +116,18 @@ def _tried(first: Trial) -> Iterator[tuple[str, str, Trial]]:
     makers: list[Callable[[Seen], Iterator[tuple[str, str, Seen]]]] = [cameras.lenses]
     if first.misfit > GROSS:
         makers = [order.candidates, cameras.exchanges, cameras.lenses, order.of_one, *([cameras.posed] if stated else []), targets.exchanged]
-    ones = [lambda s, name=name: targets.of_one(s, name) for name in targets.suspicious(first)] if first.misfit > GROSS else []
-    for make in [*ones, *makers]:
-        tried = [(what, do, trial(other)) for what, do, other in make(seen)]
-        yield from tried
-        if min((one.misfit for *_, one in tried), default=LOST) < min(DONE, 0.1 * first.misfit):
+    wrong = targets.suspicious(first) if first.misfit > GROSS else []
+    ones = [lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one) for name in wrong]
+    until = time.process_time() + SEARCH
+    for make in [*ones, *([targets.edges] if first.misfit > GROSS else []), *makers]:
+        least = LOST
+        for what, do, other in make(seen):
+            tried = trial(other)
+            least = min(least, tried.misfit)
+            yield what, do, tried
+            if time.process_time() > until:
+                return
+        if least < min(DONE, 0.1 * first.misfit):
             return
 
 

@@ -15,6 +15,8 @@ from vision.targets import SQUARE, marker_map
 Candidate = tuple[str, str, Seen]
 PRINTED = 0.01  # a scale of the print beyond this is a mistake, below it a print_scale (its usual size ends at 0.005)
 NAMED = 0.006  # share by which a ratio may differ from one that has a name
+LEAST_CORNERS = 8  # of one marker, from which it is said to be elsewhere
+EDGES = (-0.02, -0.01, -0.005, 0.005, 0.01, 0.02)  # m
 PAIRS = 12  # pairs of markers in one image from which a scale is told
 CONTENT = {"4X4": 4, "5X5": 5, "6X6": 6, "7X7": 7, "ORIGINAL": 5, "36h": 6, "25h": 5, "16h": 4}
 
@@ -156,11 +158,6 @@ def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
             plain = next((f"{'-' if about[k] < 0 else ''}{'xyz'[k]}" for k in range(3) if abs(about[k]) > 0.99), str(about.tolist()))
             yield (f"rig.toml: cube {name} is turned by {angle:.0f} degrees about its {plain}", "Turn the cube, or its pose or faces in rig.toml",
                    put(replace(t, pose=t.pose * RigidTransform.from_rotation(R))))
-        for a, b in combinations(range(len(t.faces)), 2):
-            faces = list(t.faces)
-            faces[a], faces[b] = (t.faces[a][0], t.faces[b][1]), (t.faces[b][0], t.faces[a][1])
-            yield f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged", "Exchange them", put(replace(t,
-                                                                                                                                    faces=tuple(faces)))
         for what, change in _POSES:
             yield f"rig.toml: pose of target {name}: {what}", "State cube in body: m, rotation vector in rad", put(replace(t, pose=change(t.pose)))
     for by in (1, -1):
@@ -169,14 +166,40 @@ def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
                    put(replace(t, faces=tuple((face, max(number + by, 0)) for face, number in t.faces))))
 
 
+def faces(seen: Seen, name: str) -> Iterator[Candidate]:
+    """Two faces of one cube exchanged."""
+    targets = seen.design.targets
+    i = [t.name for t in targets].index(name)
+    t = targets[i]
+    for a, b in combinations(range(len(t.faces)), 2):
+        swapped = list(t.faces)
+        swapped[a], swapped[b] = (t.faces[a][0], t.faces[b][1]), (t.faces[b][0], t.faces[a][1])
+        yield (f"rig.toml: faces {t.faces[a][0]} and {t.faces[b][0]} of cube {name} are exchanged", "Exchange them",
+               seen.with_targets((*targets[:i], replace(t, faces=tuple(swapped)), *targets[i + 1:])))
+
+
+def edges(seen: Seen) -> Iterator[Candidate]:
+    """The edges of all cubes stated too large or too small."""
+    for by in EDGES:
+        if all(not t.edge or t.edge + by > t.marker for t in seen.design.targets):
+            yield (f"rig.toml: the edge of all cubes is stated about {abs(by) * 1e3:.0f} mm too {'small' if by > 0 else 'large'}",
+                   "Measure a cube from face to face, in metres", seen.with_targets(
+                       tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)))
+
+
 def suspicious(trial: Trial) -> list[str]:
-    """Names of targets most of whose corners are not where they ought to be, while those of others are; the worst first."""
+    """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have none; the worst first."""
     if trial.measured is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)
-    names = np.array(markers.target)[o.marker]
-    off = {name: float((trial.miss[names == name] > 2.0).mean()) for name in dict.fromkeys(markers.target) if (names == name).any()}
-    return [name for name in sorted(off, key=off.get, reverse=True) if off[name] > 0.5][:2]
+    owners, off = np.array(markers.target), {}
+    for row in np.unique(o.marker):
+        miss = trial.miss[o.marker == row] > 2.0
+        if miss.mean() > 0.5 and len(miss) >= LEAST_CORNERS:
+            off[str(owners[row])] = off.get(str(owners[row]), 0.0) + float(miss.sum())
+    if 2 * len(off) > len(set(markers.target)):
+        return []
+    return sorted(off, key=off.get, reverse=True)[:2]
 
 
 _POSES = (
