@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import design_file, table
+from rig.design import Free
 from rig.errors import FileError, RigError
 from rig.mistakes import clocks, stated
 from rig.mistakes.mistake import Mistake, in_order
@@ -48,6 +49,8 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
     m = design_file.load(folder / "rig.toml").mechanism
+    if isinstance(m, Free):  # moved by hand: nothing is known of its size
+        return
     size = float(np.abs(m.joints[:, 1:3]).sum() if m.kind == "arm" else m.strut_range.max())
     p = table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)

@@ -31,6 +31,7 @@ AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: n
 NEARER = 0.25  # of that, which a mistake named may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
 MOVING = 120  # frames whose poses are held against the commands
+Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
 
 
 def look(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
@@ -55,8 +56,12 @@ def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
     if first.misfit < FINE:
         return [], first
     sized, best = _sized(first)
+    unexplained = "no usual mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
-        rivals = [(what, do, other) for what, do, other in _tried(first) if other.misfit < BETTER * first.misfit]
+        tried, through = _tried(first)
+        rivals = [(what, do, other) for what, do, other in tried if other.misfit < BETTER * first.misfit]
+        if not through:
+            unexplained = f"the search ended after {len(tried)} usual mistakes, none of which explains it, before all were tried"
         if rivals:
             least = min(other.misfit for *_, other in rivals)
             what, do, other = min((one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2]))
@@ -68,9 +73,8 @@ def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
         return sized, best
     bound = GROSS if targets.suspicious(first) else UNEXPLAINED
     if first.misfit > bound and trial(first.seen, ("poses", "lenses", "markers")).misfit > BETTER * first.misfit:
-        return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and no usual mistake "
-                        "explains "
-                        "it", "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
+        return [Mistake(f"corners and rig.toml do not agree: corners lie {first.misfit:.3g} px RMS from where they ought to, and {unexplained}",
+                        "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
                         first.misfit > 0.8 * LOST, 0.2)], first
     return [], first
 
@@ -109,26 +113,27 @@ def _edges(first: Trial) -> float:
     return min(trial(put(bias)).misfit for bias in BIASES)
 
 
-def _tried(first: Trial) -> Iterator[tuple[str, str, Trial]]:
-    """(what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all."""
+def _tried(first: Trial) -> tuple[list[tuple[str, str, Trial]], bool]:
+    """((what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all; whether time sufficed for it)."""
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
-    makers: list[Callable[[Seen], Iterator[tuple[str, str, Seen]]]] = [cameras.lenses]
+    makers: list[Maker] = [cameras.lenses]
     if first.misfit > GROSS:
         makers = [order.candidates, cameras.exchanges, cameras.lenses, order.of_one, *([cameras.posed] if stated else []), targets.exchanged]
     wrong = targets.suspicious(first) if first.misfit > GROSS else []
     ones = [lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one) for name in wrong]
-    until = time.process_time() + SEARCH
-    for make in [*ones, *([targets.edges] if first.misfit > GROSS else []), *makers]:
+    zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
+    until, tried = time.process_time() + SEARCH, []
+    for make in [*ones, *zoomed, *([targets.edges] if first.misfit > GROSS else []), *makers]:
         least = LOST
         for what, do, other in make(seen):
-            tried = trial(other)
-            least = min(least, tried.misfit)
-            yield what, do, tried
+            tried.append((what, do, trial(other)))
+            least = min(least, tried[-1][2].misfit)
             if time.process_time() > until:
-                return
+                return tried, False
         if least < min(DONE, 0.1 * first.misfit):
-            return
+            break
+    return tried, True
 
 
 def _posed(best: Trial, design: Design) -> list[Mistake]:
