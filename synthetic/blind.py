@@ -19,7 +19,8 @@ from rig.files import write_text
 from rig.observed import Corners
 from rig.plan import Plan, build
 from rig.recording import Sensors
-from synthetic import outlaws, simulation, world
+from synthetic import blind_images, outlaws, simulation, world
+from synthetic.blind_images import Eyes
 from vision import lens
 
 KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, an outlaw, a disturbance
@@ -38,6 +39,7 @@ class Trial:
 
     kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
     disturbance : of outlaws.DISTURBANCES or None; plan : in words; rng : what draws the noise
+    hidden : the effects that a diagnosis should find; eyes : Eyes that it is drawn into images for, or None for corners
     """
 
     kind: str
@@ -47,6 +49,8 @@ class Trial:
     disturbance: object
     plan: str
     rng: np.random.Generator
+    hidden: tuple[Effect, ...] = ()
+    eyes: Eyes | None = None
 
 
 def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
@@ -63,23 +67,27 @@ def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int
 
 
 def draw(seed: int, index: int, frames: int = FRAMES, blindfold: Sequence[str] = (), kinds: Sequence[str] = KINDS,
-         effects: Sequence[str] = ()) -> Trial:
-    """Trial `index` of a season. effects : names to which the catalogue is confined, all by default.
+         effects: Sequence[str] = (), images: bool = False) -> Trial:
+    """Trial `index` of a season. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
+    with printing tolerances, and hides only what these can show
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
     """
-    catalogue = [e for e in ALL if e.name in effects] or ALL
+    catalogue = [e for e in ALL if e.name in effects] or list(ALL)
+    catalogue = (blind_images.shown(catalogue) or blind_images.shown(list(ALL))) if images else catalogue
     kind, numbers, rng = schedule(seed, index, kinds, len(catalogue))
     if len(numbers) == 2 and numbers[0] == numbers[1]:
         numbers[1] = (numbers[1] + 1) % len(catalogue)
     for _ in range(TRIES - 1):
         with suppress(RigError):
-            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
-    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold)
+            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold, images)
+    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold, images)
 
 
-def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, blindfold: Sequence[str]) -> Trial:
-    text = _rig(rng)
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, blindfold: Sequence[str],
+           images: bool) -> Trial:
+    eyes = blind_images.eyes(rng) if images else None
+    text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
@@ -91,16 +99,18 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
         effects = [outlaws.draw(design, duration, rng)]
-    secret = world.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects)
+    slight = [] if eyes is None else [blind_images.printed(design, rng)]
+    secret = world.draw(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate(secret, route, rng)
     kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in blindfold and "temperature" in name)}
     disturbance = outlaws.DISTURBANCES[rng.integers(len(outlaws.DISTURBANCES))] if kind == "noise" else None
-    return Trial(kind, replace(done, log=Sensors(done.log.t, kept)), text, _log(rng, *NOISE), disturbance, plan, rng)
+    noise = _log(rng, *NOISE) if eyes is None else eyes.noise
+    return Trial(kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes)
 
 
-def _rig(rng: np.random.Generator) -> str:
+def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
     """Text of the rig.toml of a random rig of a plausible size."""
-    text = layout.layout(_log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=1280, height=1024, cubes=int(rng.integers(3, 6)))
+    text = layout.layout(_log(rng, 0.15, 0.6), cameras=int(rng.choice([2, 3, 3, 3, 4])), width=width, height=height, cubes=int(rng.integers(3, 6)))
     joints = rng.choice(["cardan-cardan", "cardan-cardan", "cardan-ball"])
     return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
 
@@ -152,13 +162,20 @@ def write_recording(trial: Trial, folder: Path) -> None:
     if trial.disturbance is not None:
         def spoil(corners: Corners) -> Corners:
             return trial.disturbance(corners, trial.simulation.world.stated, trial.noise, trial.rng)
-    simulation.write(trial.simulation, folder, trial.text, trial.rng, trial.noise, spoil=spoil)
+    images = None if trial.eyes is None else trial.eyes.images
+    simulation.write(trial.simulation, folder, trial.text, trial.rng, trial.noise, images, spoil=spoil)
+
+
+def corners_of(trial: Trial) -> Corners:
+    """The corners that a trial's recording shows, as well as corners of its images are good for."""
+    return simulation.corners(trial.simulation, trial.noise, np.random.default_rng(0))
 
 
 def write_truth(trial: Trial, path: Path, **more: Any) -> None:
     """Write the truth of a trial, with more besides, into a file."""
     disturbance = trial.disturbance.__name__ if trial.disturbance is not None else None
-    world.write_truth(path, trial.simulation.world, trial.simulation.run.T_base_platform, kind=trial.kind, disturbance=disturbance,
+    hidden = replace(trial.simulation.world, effects=trial.hidden)
+    world.write_truth(path, hidden, trial.simulation.run.T_base_platform, kind=trial.kind, disturbance=disturbance,
                       noise_px=trial.noise, plan=trial.plan, **more)
 
 

@@ -69,8 +69,13 @@ def render(simulation: Simulation, out: Path, images: Images, seed: int, progres
 def check_drawable(effects: Iterable[Effect]) -> None:
     """Raise RigError for effects that act on corners alone and that a picture cannot show."""
     for effect in effects:
-        if type(effect).bend is not Effect.bend or type(effect).print_ is not Effect.print_:
+        if not drawable(type(effect)):
             raise RigError(f"{effect.name} is not drawn into images, only into corners: simulate with --corners")
+
+
+def drawable(kind: type[Effect]) -> bool:
+    """Whether a picture can show an effect of a class: it does not act on corners alone."""
+    return kind.bend is Effect.bend and kind.print_ is Effect.print_
 
 
 _state: dict[str, Any] = {}  # of a drawing process: what it was started with

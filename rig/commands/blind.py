@@ -11,6 +11,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -45,13 +46,15 @@ def arguments(parser: ArgumentParser) -> None:
                         "a season that was interrupted goes on where it stopped")
     parser.add_argument("--seed", type=int, default=0, help="another seed is another season")
     parser.add_argument("--trials", metavar="LIST", help="only these of the season, for example 3,7-9")
-    parser.add_argument("--frames", type=int, help="of each recording, about (default 380)")
+    parser.add_argument("--frames", type=int, help="of each recording, about (default 380; 40 in images)")
     parser.add_argument("--hide", metavar="KINDS", help="what trials may hide (default all): nothing, one, two effects; of hexapods also "
-                        "something foreign to the catalogue (foreign), disturbed noise (noise)")
+                        "something foreign to the catalogue (foreign), disturbed noise (noise), not in images")
     parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
     parser.add_argument("--mechanism", choices=("hexapod", "arm"), default="hexapod", help="of the rigs (default hexapod): an arm's trials hide "
                         "nothing, one or two effects of its joints, a third of them under real recordings' hardships; no --blindfold")
     parser.add_argument("--blindfold", metavar="WHAT", default="", help="take away, joined by commas: temperature, payload, reversals, motion")
+    parser.add_argument("--images", action="store_true", help="draw images: two resolutions and lenses, blur, defocus, noise, vignetting, markers "
+                        "printed as printers print; effects that pictures show (needs OpenGL)")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same folders, instead of this machine's cores")
@@ -87,11 +90,16 @@ def run(arguments: Namespace) -> None:
 def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) -> dict:
     """What makes a season: all that its recordings depend on."""
     from rig.effects import BY_NAME
+    from synthetic import blind_images
+    from synthetic.pictures import drawable
 
     if not 1 <= arguments.season <= MOST or arguments.jobs < 1 or not 0 <= arguments.seed < 1 << 63:
         raise RigError(f"--season takes 1 to {MOST}, --jobs at least 1, --seed at least 0 and below 2^63")
     arm = arguments.mechanism == "arm"
-    frames = (blind_arm.FRAMES if arm else blind.FRAMES) if arguments.frames is None else arguments.frames
+    if arm and arguments.images:
+        raise RigError("--images are of hexapods; an arm's trials are poses: leave one of --images and --mechanism out")
+    default = blind_arm.FRAMES if arm else blind_images.FRAMES if arguments.images else blind.FRAMES
+    frames = default if arguments.frames is None else arguments.frames
     if not 40 <= frames <= MOST_FRAMES:
         raise RigError(f"--frames must be at least 40 and at most {MOST_FRAMES}, not {frames}: a diagnosis takes some poses")
     kinds = blind_arm.KINDS if arm else blind.KINDS
@@ -102,11 +110,17 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
         for part in lists[name]:
             if part not in known:
                 raise RigError(f"--{name}: there is no {part!r}; there are {', '.join(known)}")
+    able = blind_images.KINDS if arguments.images else kinds
+    lists["hide"] = [kind for kind in lists["hide"] if kind in able]
     if not lists["hide"]:
-        raise RigError(f"--hide takes some of {', '.join(kinds)}")
+        raise RigError(f"--hide takes some of {', '.join(able)}")
     if arm and lists["blindfold"]:
         raise RigError("--blindfold takes covariates of a hexapod away; with --mechanism arm leave it out")
-    return {"seed": arguments.seed, "frames": frames, **({"mechanism": "arm"} if arm else {}), **lists}
+    unseen = [name for name in lists["effects"] if arguments.images and not drawable(BY_NAME[name])]
+    if unseen:
+        raise RigError(f"--effects: pictures do not show {', '.join(unseen)}, only corners do; leave --images out")
+    more = {"mechanism": "arm"} if arm else {"images": True} if arguments.images else {}
+    return {"seed": arguments.seed, "frames": frames, **more, **lists}
 
 
 def _indices(text: str | None, count: int) -> list[int]:
@@ -128,9 +142,9 @@ def _same_season(path: Path, settings: dict) -> None:
 
     if path.exists():
         held = json_file.load(path, "season").tree
-        other = [name for name in settings if held.get(name) != settings[name]]
+        other = [name for name in {**settings, **held} if held.get(name) != settings.get(name)]
         if other:
-            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {shown(held.get(n))} (not {settings[n]!r})" for n in other))
+            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {shown(held.get(n))} (not {settings.get(n)!r})" for n in other))
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
@@ -153,10 +167,12 @@ def _trial(index: int, settings: dict, folder: Path) -> tuple[Callable[..., None
     from rig import recording
     from synthetic import blind
 
-    trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"])
+    trial = blind.draw(settings["seed"], index, settings["frames"], settings["blindfold"], settings["hide"], settings["effects"],
+                       settings.get("images", False))
     blind.write_recording(trial, folder)
-    world = trial.simulation.world
-    values = strengths(recording.load(folder), world.true, trial.noise, world.effects, trial.simulation.sensors)
+    world, written = trial.simulation.world, recording.load(folder)
+    written = written if trial.eyes is None else replace(written, corners=blind.corners_of(trial))
+    values = strengths(written, world.true, trial.noise, world.effects, trial.simulation.sensors)[: len(trial.hidden)]
     return partial(blind.write_truth, trial), values
 
 

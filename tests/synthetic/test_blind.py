@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnose import tolerances
 from rig import cli, machine, plan, recording
 from rig.commands import blind as command
 from rig.effects import ALL, BY_NAME
@@ -234,3 +235,32 @@ def test_a_season_end_to_end(tmp_path):
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     strong = [h["outcome"] for t in tree["trials"] for h in t["hidden"] if h["strength"] > 15]
     assert len(tree["trials"]) == 3 and all(outcome == "named and placed" for outcome in strong)
+
+
+def test_a_trial_in_images_draws_optics_and_prints_its_markers_within_tolerance():
+    trials = [blind.draw(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
+    assert {(t.eyes.width, t.eyes.height) for t in trials} == set(blind.blind_images.RESOLUTIONS)
+    assert {t.eyes.lens for t in trials} == set(blind.blind_images.LENSES) and all(t.eyes.lens in t.text for t in trials)
+    for t in trials:
+        (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
+        assert blind.blind_images.drawable(type(hidden)) and hidden in t.simulation.world.effects
+        assert printed.name == "printing" and np.std(printed.offsets) < tolerances.PLACES.sigma * 1.3 and np.any(printed.offsets)
+        assert np.abs(printed.scales).max() < 6 * tolerances.SIDES.sigma
+        assert 0.0005 < t.noise < 0.05 and len(blind.corners_of(t).frame) > 40
+
+
+def test_a_season_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
+    base = ["blind", "--season", "1", "--out", str(tmp_path / "s"), "--images"]
+    assert cli.main([*base, "--effects", "edge_bias"]) != 0 and "pictures do not show edge_bias" in capsys.readouterr().err
+    assert cli.main([*base, "--hide", "noise"]) != 0 and "--hide takes some of nothing, one, two" in capsys.readouterr().err
+
+
+def test_an_effect_within_tolerances_is_rightly_a_remark():
+    remark = score.Found("print_scale", "markers", {"scale": (3e-4, [2e-4, 4e-4])}, [])
+    hidden = score.Hidden("print_scale", "markers", {"scale": 3e-4}, 20.0)
+    case = score.Case(1, "one", None, [hidden], [], False, 1.0, 1.0, remarks=(remark,))
+    assert case.match(hidden) is remark and case.said == [remark] and not case.named and not case.wrong()
+    elsewhere = score.Hidden("backlash", "strut 1", {"gap": 3e-5}, 20.0)
+    assert score.Case(1, "one", None, [elsewhere], [], False, 1.0, 1.0, remarks=(remark,)).match(elsewhere) is None
+    figures = {f.name: f.hits for f in score.figures([case])}
+    assert figures["one effect: detected"] == figures["one effect: named first"] == figures["one effect: at its place"] == 1
