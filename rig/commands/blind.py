@@ -144,7 +144,8 @@ def _same_season(path: Path, settings: dict) -> None:
         held = json_file.load(path, "season").tree
         other = [name for name in {**settings, **held} if held.get(name) != settings.get(name)]
         if other:
-            raise RigError(f"{path.parent} holds another season, with " + ", ".join(f"{n} {shown(held.get(n))} (not {settings.get(n)!r})" for n in other))
+            told = ", ".join(f"{n} {shown(held.get(n))} (not {settings.get(n)!r})" for n in other)
+            raise RigError(f"{path.parent} holds another season, with {told}")
     write_text(path, json.dumps(settings, indent=1) + "\n")
 
 
