@@ -8,20 +8,19 @@ import re
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig import json_file
-from rig.commands.output import Progress, add_force
-from rig.errors import FileError, MissingLibrary, RigError
+from rig.commands.output import add_force
+from rig.commands.workers import each, pool
+from rig.errors import FileError, RigError
 from rig.outside import read_bytes, shown
-from rig.processes import cores, end_waiting, finished
+from rig.processes import cores, finished
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -71,14 +70,14 @@ def run(arguments: Namespace) -> None:
     _same_season(out / "season.json", settings)
     for name in ("recordings", "seals", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
-    with _pool(arguments.scheduler, arguments.jobs) as pool:
+    with pool(arguments.scheduler, arguments.jobs) as workers:
         unsealed = [i for i in indices if _digest(out, i) is None]
         for index in unsealed:  # what was diagnosed of another drawing is no answer to this one
             (out / "diagnoses" / f"{index:04d}.json").unlink(missing_ok=True)
-        for _ in _each(pool, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
+        for _ in each(workers, _sealed, [(str(out), i, settings) for i in unsealed], "sealing"):
             pass
         waiting = [i for i in indices if arguments.again or _record(out, i) is None]
-        for index, _, error in _each(pool, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
+        for index, _, error in each(workers, _diagnosed, [(str(out), i) for i in waiting], "diagnosing"):
             if error:
                 print(f"trial {index} could not be diagnosed: {error.splitlines()[-1]}", file=sys.stderr)
     sealed = [int(path.stem) for path in (out / "seals").glob("*.sha256") if path.stem.isdigit()]
@@ -246,45 +245,6 @@ def _record(out: Path, index: int) -> tuple[float, str | None] | None:
     except FileError as error:
         print(f"trial {index}: it is diagnosed anew: {error}", file=sys.stderr)
         return None
-
-
-@contextmanager
-def _pool(scheduler: str | None, jobs: int) -> Iterator[Any]:
-    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster. At its end what has not begun is dropped."""
-    if scheduler is None:
-        pool = ThreadPoolExecutor(jobs)
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            end_waiting()
-            raise
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-        return
-    try:
-        from dask.distributed import Client
-    except ImportError:
-        raise MissingLibrary("--scheduler needs Dask: pip install distributed") from None
-    try:
-        client = Client(scheduler, timeout=20)
-    except (OSError, ValueError) as error:
-        raise RigError(f"no Dask scheduler answers at {scheduler}: {error}") from None
-    with client:
-        yield client.get_executor(pure=False)
-
-
-def _each(pool: Any, function: Callable, calls: list, label: str) -> Iterator[Any]:
-    """Results of calls of a function as they come, with progress on standard error. Raises what a call raises."""
-    progress, start = Progress(), time.monotonic()
-    waiting = [pool.submit(function, *call) for call in calls]
-    for count, future in enumerate(as_completed(waiting), 1):
-        result = future.result()
-        if sys.stderr.isatty():
-            progress(label, count, len(calls))
-        else:
-            print(f"{label}: {count} of {len(calls)}, {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-        yield result
 
 
 def _unsealed(out: Path, index: int, score: ModuleType) -> Case:

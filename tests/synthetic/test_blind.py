@@ -10,7 +10,7 @@ import pytest
 
 from calib.diagnose import tolerances
 from rig import cli, machine, plan, recording
-from rig.commands import blind as command
+from rig.commands import blind as command, workers
 from rig.effects import ALL, BY_NAME
 from rig.effects.base import check
 from rig.effects.parse import parse
@@ -214,7 +214,7 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
 
 def test_a_scheduler_without_dask_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "dask.distributed", None)
-    with pytest.raises(RigError, match="pip install distributed"), command._pool("tcp://127.0.0.1:1", 1):
+    with pytest.raises(RigError, match="pip install distributed"), workers.pool("tcp://127.0.0.1:1", 1):
         pass
 
 
