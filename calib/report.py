@@ -63,7 +63,7 @@ def measurement_page(path: Path | str, recording: Recording, measurement: Measur
     """Write the page of a measurement: residual map of each camera, pose coverage, uncertainty, cameras, unsolved frames.
 
     places : vision Places where markers' places were adjusted, else None; statement : lines on what the recording determines
-    suspects : of vision.pose.identity, markers that are not what rig.toml says
+    suspects : of vision.reading.identity, markers that are not what rig.toml says
     """
     m = measurement
     total = len(recording.exposures.times()[0])
@@ -93,7 +93,7 @@ def measurement_page(path: Path | str, recording: Recording, measurement: Measur
         parts += ["<h2>Frames without a pose</h2>", table(("frame", "reason"), sorted(m.unsolved.items()))]
     if collected is not None and collected.left_out:
         parts += [f"<h2>Markers read but not placed</h2><details><summary>{len(collected.left_out)} of them</summary>",
-                  table(("frame", "camera", "marker", "reason"), collected.left_out), "</details>"]
+                  table(("frame", "camera", "marker", "reason"), [row[:4] for row in collected.left_out]), "</details>"]
     page(path, f"Measurement of {recording.folder.resolve().name}", parts)
 
 

@@ -1,17 +1,20 @@
 """One frame of a recording as a picture: markers as found, axes as posed, residuals enlarged."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from rig.design import Camera
 from rig.errors import FileError, RigError
 from rig.exposures import read_image
 from rig.files import write_bytes
-from rig.recording import Exposures
+from rig.recording import Exposures, Recording
 from vision import lens
 from vision.corners.detect import grey
+from vision.measure import Measurement
 from vision.recorded import measure_recording
 
 FOUND, ASIDE, ARROW = (80, 220, 80), (60, 60, 230), (0, 170, 255)  # BGR
@@ -20,7 +23,8 @@ FORMATS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 SHIFT = 4  # binary digits below a pixel that lines are drawn to
 
 
-def frame_picture(recording, frame, enlarge=200.0, progress=None):
+def frame_picture(recording: Recording, frame: int, enlarge: float = 200.0,
+                  progress: Callable[[str, int, int], None] | None = None) -> tuple[list[tuple[str, np.ndarray]], Measurement]:
     """([(camera name, (height, width, 3) BGR picture) ..], Measurement) of one frame, measured by itself.
 
     recording : Recording; frame : its number; enlarge : how much longer than they are residuals are drawn
@@ -45,7 +49,7 @@ def frame_picture(recording, frame, enlarge=200.0, progress=None):
     return pictures, measured
 
 
-def check_format(path):
+def check_format(path: str | Path) -> str:
     """The suffix by which a picture's format goes; of a file without one, and of what is no file, a PNG's. Raises FileError for an unknown one."""
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in FORMATS:
@@ -53,7 +57,7 @@ def check_format(path):
     return suffix or ".png"
 
 
-def save(path, pictures, measured):
+def save(path: str | Path, pictures: list[tuple[str, np.ndarray]], measured: Measurement) -> str:
     """Write the pictures side by side; returns what there is to say about the frame, in words. Raises as `check_format` and writing do."""
     height = max(picture.shape[0] for _, picture in pictures)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 4, cv2.BORDER_CONSTANT) for _, p in pictures]
@@ -73,7 +77,7 @@ def save(path, pictures, measured):
     return "\n".join(lines)
 
 
-def _only(recording, frame):
+def _only(recording: Recording, frame: int) -> Recording:
     e = recording.exposures
     rows = np.flatnonzero(e.frame == frame)
     exposures = Exposures(e.frame[rows], e.t[rows], [e.camera[k] for k in rows], [e.image[k] for k in rows])
@@ -86,7 +90,7 @@ def _only(recording, frame):
     return replace(recording, exposures=exposures, corners=corners)
 
 
-def _markers(picture, m, i, enlarge):
+def _markers(picture: np.ndarray, m: Measurement, i: int, enlarge: float) -> None:
     o = m.observations
     ids = m.ids()
     for marker in np.unique(o.marker[o.camera == i]):
@@ -100,7 +104,7 @@ def _markers(picture, m, i, enlarge):
         cv2.line(picture, _fixed(o.uv[k]), _fixed(o.uv[k] + enlarge * m.residuals[k]), ARROW, 1, cv2.LINE_AA, SHIFT)
 
 
-def _axes(picture, camera, m):
+def _axes(picture: np.ndarray, camera: Camera, m: Measurement) -> None:
     size = 0.12 * np.linalg.norm(camera.pose.translation)
     frames = [np.eye(4)] + [T.as_matrix() for T in m.T_base_platform]
     for matrix in frames:
@@ -113,7 +117,7 @@ def _axes(picture, camera, m):
             cv2.arrowedLine(picture, _fixed(uv[0]), _fixed(uv[1 + axis]), AXES[axis], 2, cv2.LINE_AA, SHIFT, 0.1)
 
 
-def _fixed(points):
+def _fixed(points: np.ndarray) -> np.ndarray:
     """Pixels as the fixed-point integers that OpenCV draws to fractions of a pixel."""
     whole = np.clip(np.rint(np.asarray(points) * (1 << SHIFT)), -(1 << 28), 1 << 28).astype(np.int32)
     return whole if whole.ndim > 1 else tuple(whole.tolist())

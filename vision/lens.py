@@ -1,5 +1,7 @@
 """OpenCV's lens: project with Jacobian, undistort. Points in the camera's frame (OpenCV axes: x right, y down, z ahead)."""
 
+from typing import Any
+
 import numpy as np
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -7,7 +9,7 @@ DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", 
 UNDISTORT_TOLERANCE = 1e-13  # of the focal length
 
 
-def project(points, matrix, distortion):
+def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
     """Pixels (..., 2) of points (..., 3) m in the camera's frame.
 
     matrix : (3, 3) px; distortion : (4, 5, 8, 12 or 14,) in OpenCV's order. A point must lie ahead (z > 0).
@@ -16,7 +18,7 @@ def project(points, matrix, distortion):
     return _project(np.asarray(points, float), matrix, distortion, jacobian=False)
 
 
-def project_jacobian(points, matrix, distortion):
+def project_jacobian(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels (..., 2), their Jacobian to the point (..., 2, 3) px/m and to the lens (..., 2, 4 + terms).
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
@@ -24,7 +26,7 @@ def project_jacobian(points, matrix, distortion):
     return _project(np.asarray(points, float), matrix, distortion, jacobian=True)
 
 
-def undistort(uv, matrix, distortion):
+def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
     """Ideal image coordinates x/z, y/z (..., 2) of pixels (..., 2): Newton on the lens, to 1e-13.
 
     Pixels to which the lens maps nothing come back as NaN.
@@ -48,12 +50,12 @@ def undistort(uv, matrix, distortion):
     return np.where(lost, np.nan, ideal)
 
 
-def terms(distortion):
+def terms(distortion: np.ndarray) -> tuple[str, ...]:
     """Names of the lens's parameters in the Jacobian's order."""
     return INTRINSICS + DISTORTION[: len(distortion)]
 
 
-def _project(points, matrix, distortion, jacobian):
+def _project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray, jacobian: bool) -> Any:
     k = np.zeros(14)
     k[: len(distortion)] = distortion
     z = points[..., 2]
@@ -107,7 +109,7 @@ def _project(points, matrix, distortion, jacobian):
     return uv, focal * (to_ideal @ ideal_to_point), J_lens
 
 
-def _tilt(tau_x, tau_y):
+def _tilt(tau_x: complex, tau_y: complex) -> np.ndarray:
     """(3, 3) map of a tilted sensor. Source: OpenCV computeTiltProjectionMatrix (Scheimpflug)."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     R = np.array([[cy, 0 * cy, -sy], [0 * cy, 1 + 0 * cy, 0 * cy], [sy, 0 * cy, cy]]) @ np.array(
@@ -116,12 +118,12 @@ def _tilt(tau_x, tau_y):
     return lift @ R
 
 
-def _apply_tilt(tilt, xd, yd):
+def _apply_tilt(tilt: np.ndarray, xd: np.ndarray, yd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     w = tilt[2, 0] * xd + tilt[2, 1] * yd + tilt[2, 2]
     return (tilt[0, 0] * xd + tilt[0, 1] * yd + tilt[0, 2]) / w, (tilt[1, 0] * xd + tilt[1, 1] * yd + tilt[1, 2]) / w
 
 
-def _tilt_jacobian(tilt, xd, yd):
+def _tilt_jacobian(tilt: np.ndarray, xd: np.ndarray, yd: np.ndarray) -> np.ndarray:
     xt, yt = _apply_tilt(tilt, xd, yd)
     w = tilt[2, 0] * xd + tilt[2, 1] * yd + tilt[2, 2]
     J = np.empty((*xd.shape, 2, 2))

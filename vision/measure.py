@@ -1,19 +1,21 @@
 """Corners of a recording -> cameras adjusted and the platform's pose in every frame, with covariance."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design
+from rig.design import Camera, Design
 from rig.recording import Corners
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.robust import adjust_robustly, standing_error
 from vision.observations import Observations, only
-from vision.pose.frames import Views, locate_frames, related, resect
+from vision.pose.frames import Frames, Views, locate_frames, related, resect
 from vision.pose.locate import FINEST
 from vision.predict import State, predict
+from vision.targets import MarkerMap
 
 FAR = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
@@ -50,28 +52,30 @@ class Measurement:
     adjustment: Adjustment
 
     @property
-    def places_free(self):
+    def places_free(self) -> bool:
         """Whether places of markers or targets were adjusted."""
         return bool(self.adjustment.unknowns.markers or self.adjustment.unknowns.targets)
 
-    def used(self):
+    def used(self) -> Observations:
         """Observations that were adjusted, with the weights they were given: the inliers of the solved frames."""
         solved = np.searchsorted(self.observations.frames, self.frames)
         kept = replace(only(self.observations, solved), covariance=self.weights)
         return kept.take(self.inliers[np.isin(self.observations.frame, solved)])
 
-    def ids(self):
+    def ids(self) -> list[int]:
         """Identity of each row of the marker map."""
         return [number for target in self.design.targets for number in target.ids]
 
-    def corners(self):
+    def corners(self) -> Corners:
         """recording.Corners of all observations, with covariance."""
         o, ids = self.observations, self.ids()
         names = [camera.name for camera in self.design.cameras]
         return Corners(o.frames[o.frame], [names[i] for i in o.camera], [ids[i] for i in o.marker], o.corner, o.uv, o.covariance)
 
 
-def measure(observations, design, marker_map, free=("poses", "lenses"), progress=None, t=None, cameras=None):
+def measure(observations: Observations, design: Design, marker_map: MarkerMap, free: Sequence[str] = ("poses", "lenses"),
+            progress: Callable[[str, int, int], None] | None = None, t: np.ndarray | None = None,
+            cameras: tuple[Camera, ...] | None = None) -> Measurement:
     """Platform poses of all frames with cameras and lenses adjusted to them, and places of markers too if asked for.
 
     observations : Observations; design : Design, nominal; marker_map : MarkerMap as stated
@@ -111,7 +115,8 @@ def measure(observations, design, marker_map, free=("poses", "lenses"), progress
                        residuals, float(noise), standing, weights, fit.scale**2, result)
 
 
-def _located(views, cameras, t, free, progress):
+def _located(views: Views, cameras: tuple[Camera, ...], t: np.ndarray | None, free: bool,
+             progress: Callable[[int, int], None] | None) -> tuple[Frames, tuple[Camera, ...]]:
     """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as the body relates them if
     the corners agree better so."""
     found = locate_frames(views, cameras, t, progress)
@@ -125,7 +130,7 @@ def _located(views, cameras, t, free, progress):
     return found, cameras
 
 
-def _disagreement(views, frames, cameras):
+def _disagreement(views: Views, frames: Frames, cameras: tuple[Camera, ...]) -> float:
     """px, mean by which corners lie from where the frames' poses put them, FAR at the most, so much for each of an unsolved frame's."""
     o, count = views.observations, len(views.observations.frames)
     uv, ahead = predict(o, State(cameras, frames.all_poses(count), frames.all_moving(count), views.map))

@@ -1,8 +1,14 @@
 """Corners of a whole recording as flat arrays, sorted so that each camera's and each frame's stand together."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
+
+from rig.design import Design
+from rig.recording import Corners
+from vision.targets import MarkerMap
 
 _COLUMNS = ("frame", "camera", "marker", "corner", "uv", "covariance", "points", "on_platform")
 UNSTATED_SIGMA = 0.1  # px; a corner's standard deviation until the residuals tell it
@@ -31,26 +37,26 @@ class Observations:
     stated: bool
     correlation: np.ndarray | None = None
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.frame)
 
-    def take(self, index):
+    def take(self, index: np.ndarray) -> Observations:
         """The same recording with only the corners of an index or mask (n,)."""
         columns = {name: getattr(self, name)[index] for name in _COLUMNS}
         return replace(self, **columns, correlation=None if self.correlation is None else self.correlation[index])
 
-    def with_points(self, points):
+    def with_points(self, points: np.ndarray) -> Observations:
         """The same corners with other body points (n, 3) m."""
         return replace(self, points=points)
 
-    def groups(self):
+    def groups(self) -> np.ndarray:
         """Index pairs [start, end) of the runs of one camera in one frame."""
         key = self.camera * len(self.frames) + self.frame
         edges = np.flatnonzero(np.diff(key)) + 1
         return np.stack([np.r_[0, edges], np.r_[edges, len(key)]], axis=1) if len(key) else np.zeros((0, 2), int)
 
 
-def only(observations, solved):
+def only(observations: Observations, solved: np.ndarray) -> Observations:
     """The corners of the frames (indices) that are solved, those frames counted anew."""
     kept = observations.take(np.isin(observations.frame, solved))
     return replace(kept, frames=observations.frames[solved], frame=np.searchsorted(solved, kept.frame))
@@ -66,11 +72,11 @@ class Whitener:
     corner: np.ndarray
     mixing: np.ndarray | None
 
-    def __call__(self, errors):
+    def __call__(self, errors: np.ndarray) -> np.ndarray:
         """(n, 2) whitened, of errors (n, 2) px."""
         return self.mix((self.own @ errors[..., None]), slice(None))[..., 0]
 
-    def mix(self, X, rows):
+    def mix(self, X: np.ndarray, rows: slice) -> np.ndarray:
         """Columns X (m, 2, k), whitened by `own`, with what corners of a marker share taken out; rows : slice of whole sightings."""
         if self.mixing is None or not len(X):
             return X
@@ -82,7 +88,7 @@ class Whitener:
         return together[sighting - first, corner]
 
 
-def whitener(observations):
+def whitener(observations: Observations) -> Whitener:
     """Whitener of Observations."""
     o, own = observations, np.linalg.inv(np.linalg.cholesky(observations.covariance))
     sighting = np.cumsum(np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)])
@@ -96,7 +102,7 @@ def whitener(observations):
     return Whitener(own, sighting, o.corner, np.linalg.inv(np.linalg.cholesky(R)))
 
 
-def correlation_of(covariance):
+def correlation_of(covariance: np.ndarray) -> np.ndarray:
     """(m, 4, 2, 8) Observations.correlation of m markers' corners whose covariances are (m, 8, 8) px^2."""
     m = len(covariance)
     blocks = np.linalg.inv(np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1)))
@@ -106,7 +112,8 @@ def correlation_of(covariance):
     return (whiten @ covariance @ np.swapaxes(whiten, 1, 2)).reshape(m, 4, 2, 8)
 
 
-def from_corners(corners, frames, design, marker_map, correlation=None):
+def from_corners(corners: Corners, frames: np.ndarray, design: Design, marker_map: MarkerMap,
+                 correlation: np.ndarray | None = None) -> Observations:
     """Observations of recording.Corners whose markers and cameras the design knows. frames : (F,) the frame numbers.
 
     correlation : (n, 2, 8) of the corners, see Observations, or None

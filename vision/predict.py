@@ -1,14 +1,21 @@
 """Poses and design -> corners: the one forward model of seeing."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera
+from rig.effects.base import Effect
 from rig.errors import RigError
+from rig.machine import Run
 from rig.pose import exp, transform_points
+from rig.recording import Sensors
 from vision import lens
+from vision.observations import Observations
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
@@ -27,12 +34,12 @@ class State:
     moving: dict[int, RigidTransform]
     markers: MarkerMap | None = None
 
-    def at(self, frames):
+    def at(self, frames: np.ndarray) -> State:
         """The same with only the frames of an index or mask (F,)."""
         return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
-def predict(observations, state):
+def predict(observations: Observations, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind it."""
     base, uv, ahead = base_points(observations, state), np.empty((len(observations), 2)), np.empty((len(observations), 3))
     for i, camera, rows in by_camera(observations, state):
@@ -49,12 +56,12 @@ class Sightings:
     camera: np.ndarray
     marker: np.ndarray
 
-    def take(self, index):
+    def take(self, index: np.ndarray) -> Sightings:
         """Those of an index or mask (k,)."""
         return Sightings(self.frame[index], self.camera[index], self.marker[index])
 
 
-def facing(state, markers, steepest=STEEPEST):
+def facing(state: State, markers: MarkerMap, steepest: float = STEEPEST) -> Sightings:
     """Sightings of all markers that face a camera, lie ahead of it, and are not seen too obliquely (cosine of the tilt)."""
     base, normals = _quads(state.platform, markers)
     out = []
@@ -69,7 +76,8 @@ def facing(state, markers, steepest=STEEPEST):
     return Sightings(*(np.concatenate(column) for column in zip(*out)))
 
 
-def see(sightings, state, markers, t=None, effects=(), sensors=None, run=None):
+def see(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | None = None, effects: Sequence[Effect] = (),
+        sensors: Sensors | None = None, run: Run | None = None) -> np.ndarray:
     """Corners (k, 4, 2) px of sightings, with all that the effects do to markers, cameras and the moment of exposure.
 
     state : State; markers : MarkerMap as stated; t : (F,) s of the frames, for effects in time; sensors : Sensors or None
@@ -98,13 +106,13 @@ def see(sightings, state, markers, t=None, effects=(), sensors=None, run=None):
     return uv
 
 
-def inside(sightings, uv, cameras, margin=INSIDE):
+def inside(sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE) -> np.ndarray:
     """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]
     return ((uv > margin) & (uv < size[:, None] - 1 - margin)).all(axis=(1, 2))
 
 
-def expected(camera, T_base_platform, marker_map):
+def expected(camera: Camera, T_base_platform: RigidTransform, marker_map: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
     """Marker rows (k,) that a fixed camera should see whole, were nothing in the way, and their corners (k, 4, 2) px."""
     to_camera = camera.pose.inv().as_matrix()
     matrix = np.where(marker_map.on_platform[:, None, None], to_camera @ T_base_platform.as_matrix(), to_camera)
@@ -118,7 +126,7 @@ def expected(camera, T_base_platform, marker_map):
     return rows[whole], uv[whole]
 
 
-def _quads(platform, markers):
+def _quads(platform: RigidTransform, markers: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
     """Corners (F, m, 4, 3) m and normals (F, m, 3) of all markers in the base frame, at poses platform (F,)."""
     on = markers.on_platform
     matrix = platform.as_matrix()[:, None]
@@ -129,12 +137,13 @@ def _quads(platform, markers):
     return corners, normals
 
 
-def _view(state, i, t, effects, sensors):
+def _view(state: State, i: int, t: np.ndarray, effects: Sequence[Effect],
+          sensors: Sensors | None) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """A function (points (k, 4, 3) m in the base, frame (k,)) -> pixels (k, 4, 2) through camera i with its effects."""
     camera = state.cameras[i]
     mount, focal = np.zeros((len(t), 6)), np.ones(len(t))
 
-    def channel(*names):
+    def channel(*names: str) -> np.ndarray:
         if sensors is None:
             raise RigError(f"the model needs a sensor channel {' or '.join(map(repr, names))}, and the recording has no sensors.csv")
         return sensors.at(t, *names)
@@ -147,7 +156,7 @@ def _view(state, i, t, effects, sensors):
     matrix = (poses * exp(mount)).inv().as_matrix()
     centre = camera.matrix[:2, 2]
 
-    def look(points, frame):
+    def look(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
         ahead = points @ np.swapaxes(matrix[frame, :3, :3], 1, 2) + matrix[frame, None, :3, 3]
         for effect in effects:
             ahead = effect.bend(camera, ahead)
@@ -157,7 +166,7 @@ def _view(state, i, t, effects, sensors):
     return look
 
 
-def _late(camera, effects, v):
+def _late(camera: Camera, effects: Sequence[Effect], v: np.ndarray) -> np.ndarray:
     """(k, 4) s by which corners in image rows v (k, 4) are exposed after the middle row."""
     late = (v - camera.height / 2) * (camera.row_time if camera.shutter == "rolling" else 0.0)
     for effect in effects:
@@ -165,7 +174,8 @@ def _late(camera, effects, v):
     return late
 
 
-def _delayed(corners, markers, marker, state, frame, on, run, late):
+def _delayed(corners: np.ndarray, markers: MarkerMap, marker: np.ndarray, state: State, frame: np.ndarray, on: np.ndarray, run: Run,
+             late: np.ndarray) -> np.ndarray:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
     step = late[..., None] * run.rate[frame][:, None] + late[..., None] ** 2 / 2 * run.curvature[frame][:, None]
     moved = exp(step).as_matrix()
@@ -175,7 +185,7 @@ def _delayed(corners, markers, marker, state, frame, on, run, late):
     return np.where(on[:, None, None], base, corners)
 
 
-def by_camera(observations, state):
+def by_camera(observations: Observations, state: State) -> Iterator[tuple[int, Camera, slice]]:
     """(camera index, Camera, slice of its corners) for each camera that sees something."""
     edges = np.searchsorted(observations.camera, np.arange(len(state.cameras) + 1))
     for i, camera in enumerate(state.cameras):
@@ -183,12 +193,12 @@ def by_camera(observations, state):
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
-def body_points(observations, state):
+def body_points(observations: Observations, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in their body's frame."""
     return observations.points if state.markers is None else state.markers.corners[observations.marker, observations.corner]
 
 
-def base_points(observations, state):
+def base_points(observations: Observations, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in the base frame."""
     points = body_points(observations, state).copy()
     on = observations.on_platform
@@ -197,7 +207,7 @@ def base_points(observations, state):
     return points
 
 
-def in_camera(points, frame, state, i):
+def in_camera(points: np.ndarray, frame: np.ndarray, state: State, i: int) -> np.ndarray:
     """Points (n, 3) m of the base, each at its frame (n,), in the frame of camera i."""
     if i in state.moving:
         matrix = state.moving[i].inv().as_matrix()[frame]

@@ -1,21 +1,27 @@
 """A recording -> its measurement, from whichever it has: corners as they stand, or images, read and looked at again."""
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
+from rig.design import Design
 from rig.errors import NotEnoughData
+from rig.recording import Corners, Recording
 from vision.bundle.adjust import NoOptimum
 from vision.bundle.places import HALVED, doubtful, moves
-from vision.measure import measure
-from vision.observations import from_corners
-from vision.pose.identity import LOOKED_AT, why_none
-from vision.reading.collect import collect, image_reader, look_again
-from vision.targets import marker_map
+from vision.measure import Measurement, measure
+from vision.observations import Observations, from_corners
+from vision.reading.collect import Collected, collect, image_reader, look_again
+from vision.reading.identity import LOOKED_AT, why_none
+from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
 PLACES = ("auto", "stated", "free")
 
 
-def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, progress=None, places="stated", look=None):
+def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "lenses"), detect_anew: bool = False,
+                      progress: Callable[[str, int, int], None] | None = None, places: str = "stated",
+                      look: Callable[[Corners], None] | None = None) -> tuple[Measurement, Collected | None]:
     """(Measurement, Collected or None) of a recording.
 
     free : what is adjusted, see vision.bundle.adjust; places : whether the markers' places on their bodies are adjusted too: "stated",
@@ -36,10 +42,10 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     frames, t = recording.exposures.times()
     markers = marker_map(design)
 
-    def said(label):
+    def said(label: str) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(label, done, of)) if progress else None
 
-    def solved(corners, correlation=None, look=None):
+    def solved(corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None) -> Measurement:
         if look:
             look(corners)
         return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, progress, t, places)
@@ -59,7 +65,8 @@ def measure_recording(recording, free=("poses", "lenses"), detect_anew=False, pr
     return measured, found
 
 
-def solve(observed, design, markers, free, progress, t, places):
+def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str], progress: Callable[[str, int, int], None] | None,
+          t: np.ndarray, places: str) -> Measurement:
     """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at."""
     loose, measured, contradicted = (*free, "markers"), None, True
     if places == "free":
@@ -79,7 +86,7 @@ def solve(observed, design, markers, free, progress, t, places):
     return freed if better else measured
 
 
-def refused(measured):
+def refused(measured: Measurement) -> list[int]:
     """Numbers of frames that show two markers or more of all that is needed, and are not solved."""
     o = measured.observations
     enough = np.ones(len(o.frames), bool)
@@ -90,12 +97,12 @@ def refused(measured):
     return [number for number in o.frames[enough].tolist() if number in measured.unsolved]
 
 
-def _why_none(recording, found, markers):
+def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str:
     """How many images there are, and what some of them show instead of the rig's markers."""
     e = recording.exposures
     images = [(frame, camera) for frame, camera, name in zip(e.frame, e.camera, e.image) if name]
     if found.left_out:
-        return f"{len(images)} images that could be placed: " + "; ".join(sorted({reason for *_, reason in found.left_out})[:5])
+        return f"{len(images)} images that could be placed: " + "; ".join(sorted({one.reason for one in found.left_out})[:5])
     read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
     why = why_none([read(*images[k]) for k in sorted(some)], markers)
     return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")

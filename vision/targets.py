@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.design import FACES, Marker
+from rig.design import FACES, Design, Marker, Target
 from rig.pose import transform_points
 
 _OUT = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -31,17 +31,17 @@ class MarkerMap:
     target: list[str]
     corners: np.ndarray = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
 
-    def rows(self, ids):
+    def rows(self, ids: np.ndarray) -> np.ndarray:
         """Row of each identity (n,) -> (n,); -1 for one that no target has."""
         order = np.argsort(self.id)
         at = np.minimum(np.searchsorted(self.id[order], ids), len(order) - 1)
         return np.where(self.id[order][at] == ids, order[at], -1)
 
 
-def markers(target):
+def markers(target: Target) -> tuple[Marker, ...]:
     """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z."""
     if target.listed:
         return target.listed
@@ -49,7 +49,7 @@ def markers(target):
     return tuple(Marker(number, target.marker, target.pose * face_pose(face, target.edge), margin) for face, number in target.faces)
 
 
-def face_pose(face, edge):
+def face_pose(face: str, edge: float) -> RigidTransform:
     """T_cube_marker of a face ("+x" .. "-z") of a cube with that edge (m): x right, y up, z out, seen from outside."""
     if face not in FACES:
         raise ValueError(f"expected a face out of {FACES}, got {face!r}")
@@ -59,7 +59,7 @@ def face_pose(face, edge):
     return RigidTransform.from_components(out * edge / 2, rotation)
 
 
-def marker_map(design):
+def marker_map(design: Design) -> MarkerMap:
     """MarkerMap of a Design. Raises ValueError for a design without targets."""
     rows = [(marker, target) for target in design.targets for marker in markers(target)]
     if not rows:
@@ -72,7 +72,7 @@ def marker_map(design):
 
 
 @cache
-def marker_cells(name, number):
+def marker_cells(name: str, number: int) -> np.ndarray:
     """(n + 4, n + 4) cells of a marker of a dictionary (OpenCV name), 1 white, with its black border and a ring of white."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     bits = cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) > 127

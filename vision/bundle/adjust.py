@@ -5,14 +5,16 @@ platform's pose, each moving camera's pose). The stated places of the base's mar
 those of the platform's markers the platform frame.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.design import Camera
 from rig.errors import NotEnoughData, RigError
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
-from vision.bundle.unknowns import POSE_SCALE, Unknowns, lens_prior, move, offset, to_datums, unknowns
-from vision.observations import whitener
+from vision.bundle.unknowns import POSE_SCALE, Estimate, Unknowns, lens_prior, move, offset, to_datums, unknowns
+from vision.observations import Observations, Whitener, whitener
 from vision.predict import State, predict
 
 MAX_ITERATIONS = 120
@@ -53,7 +55,8 @@ class Adjustment:
     free: tuple[str, ...]
 
 
-def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=None, worth=lens_prior):
+def adjust(observations: Observations, state: State, free: Sequence[str] = ("poses", "lenses"), progress: Callable[[float], None] | None = None,
+           stated: State | None = None, worth: Callable[[Camera], np.ndarray] = lens_prior) -> Adjustment:
     """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
@@ -101,7 +104,7 @@ def adjust(observations, state, free=("poses", "lenses"), progress=None, stated=
     return _finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free))
 
 
-def cost_of(observations, estimate, stated, unknowns, W):
+def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
     """Sum of whitened squares, the priors' included; infinite where a corner falls behind its camera. W : Whitener."""
     uv, ahead = predict(observations, estimate.state)
     if (ahead[:, 2] <= 0).any():
@@ -109,7 +112,7 @@ def cost_of(observations, estimate, stated, unknowns, W):
     return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
 
 
-def _finish(observations, estimate, stated, u, W, free):
+def _finish(observations: Observations, estimate: Estimate, stated: State, u: Unknowns, W: Whitener, free: tuple[str, ...]) -> Adjustment:
     residual, derivatives = linearise(observations, estimate, u, W)
     away = offset(estimate, stated, u)
     blocks = normal_equations(observations, derivatives, residual, u, away)

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vision.bundle.adjust import Adjustment
 from vision.bundle.normal import linearise, normal_equations, reduce
 from vision.bundle.unknowns import offset, unknowns
-from vision.observations import only, whitener
+from vision.observations import Observations, only, whitener
 
 FOLDS = 10
 ALONE = 1e-9  # of the information in some direction; a stretch whose absence leaves less was the only one to tell it
@@ -28,7 +29,7 @@ class HeldOut:
     corners: int
 
     @property
-    def ratio(self):
+    def ratio(self) -> float:
         """Residuals' squares over the predicted ones: 1 where the covariance is true."""
         return self.chi2 / self.expected
 
@@ -39,11 +40,11 @@ class NotHeldOut:
 
     reason: str
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         return False
 
 
-def crossvalidate(observations, adjustment, folds=FOLDS):
+def crossvalidate(observations: Observations, adjustment: Adjustment, folds: int = FOLDS) -> HeldOut | NotHeldOut:
     """HeldOut over stretches of frames, each left out in turn and predicted from the others; NotHeldOut where that takes more frames.
 
     observations : Observations that were adjusted; adjustment : their Adjustment

@@ -1,13 +1,19 @@
 """How corners move when the platform, a camera or a lens does: the Jacobians of the forward model of seeing, without effects."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from rig.pose import skew
 from vision import lens
-from vision.predict import base_points, by_camera, in_camera
+from vision.observations import Observations
+from vision.predict import State, base_points, by_camera, in_camera
+
+Seen = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # see `seen`
+Derivative = tuple[int, slice, np.ndarray, np.ndarray, np.ndarray]  # see `derivatives`
 
 
-def seen(observations, state):
+def seen(observations: Observations, state: State) -> Iterator[Seen]:
     """Yield (camera index, rows, uv (m, 2) px, J_base (m, 2, 3), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms)) for each camera that sees.
 
     J_base : to the corner's place in the base frame, px/m; J_camera : to a small motion of the camera on the right (px/m, px/rad)
@@ -21,12 +27,12 @@ def seen(observations, state):
         yield i, rows, uv, J_point @ np.swapaxes(R_camera, -1, -2), np.concatenate([-J_point, J_point @ skew(ahead)], axis=-1), J_lens
 
 
-def moved(J, points):
+def moved(J: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(n, 2, 6) derivative to a small motion on the right, from that to the point (n, 2, 3) and the point (n, 3) it moves."""
     return np.concatenate([J, -(J @ skew(points))], axis=-1)
 
 
-def derivatives(observations, state):
+def derivatives(observations: Observations, state: State) -> list[Derivative]:
     """[(camera index, rows, J_platform (m, 2, 6), J_camera (m, 2, 6), J_lens (m, 2, 4 + terms))] for each camera that sees something.
 
     observations : Observations; state : State. Tangents stand on the right (px/m, px/rad); J_platform is zero on base markers

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vision.bundle.unknowns import POSE_WORTH
+from vision.bundle.adjust import Adjustment
+from vision.bundle.unknowns import POSE_WORTH, Unknowns
 
 UNDETERMINED = 0.5  # of what was stated; a combination that keeps more of its uncertainty owes it to its owner, not to the images
 ENTANGLED = 0.98  # correlation from which two unknowns are hardly told apart
@@ -22,7 +23,7 @@ class Determined:
     entangled: tuple[tuple[str, str, float], ...]
     held: tuple[str, ...]
 
-    def lines(self):
+    def lines(self) -> list[str]:
         """The statement as lines of text."""
         out = [f"{self.unknowns} shared unknowns adjusted; {'; '.join(self.held)}"]
         for share, names in self.undetermined[:6]:
@@ -47,7 +48,7 @@ class Determined:
                 + f"; {'; '.join(self.held)}")
 
 
-def determined(adjustment):
+def determined(adjustment: Adjustment) -> Determined:
     """Determined of an Adjustment: its covariance held against what each unknown was worth before."""
     u, names = adjustment.unknowns, [f"{who} {part}" for who, part in adjustment.shared_names]
     worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_WORTH)
@@ -62,13 +63,13 @@ def determined(adjustment):
     return Determined(len(names), tuple(weak), tuple((names[i], names[j], float(correlation[i, j])) for i, j in pairs), _held(adjustment, u))
 
 
-def _names(vector, names):
+def _names(vector: np.ndarray, names: list[str]) -> tuple[str, ...]:
     order = np.argsort(-(vector**2))
     kept = [k for k in order[:4] if vector[k] ** 2 > NAMED] or [order[0]]
     return tuple(names[k] for k in kept)
 
 
-def _held(adjustment, u):
+def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
     """Who holds the frames, and what was kept as stated."""
     state, out = adjustment.state, []
     loose = bool(u.markers or u.targets)

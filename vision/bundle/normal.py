@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vision.bundle.derivatives import moved, seen
-from vision.bundle.unknowns import POSE_SCALE, shifts
+from vision.bundle.unknowns import POSE_SCALE, Estimate, Unknowns, shifts
+from vision.observations import Observations, Whitener
 from vision.predict import body_points
 from vision.targets import SQUARE
 
@@ -38,7 +39,7 @@ class Blocks:
     common: np.ndarray
 
 
-def linearise(observations, estimate, unknowns, whitener):
+def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns, whitener: Whitener) -> tuple[np.ndarray, dict[int, Derivatives]]:
     """Whitened residuals (n, 2), seen less predicted, and {camera index: Derivatives} of the prediction.
 
     whitener : Whitener of the observations
@@ -87,11 +88,11 @@ def linearise(observations, estimate, unknowns, whitener):
     return residual, found
 
 
-def _range(columns):
+def _range(columns: slice) -> np.ndarray:
     return np.arange(columns.start, columns.stop)
 
 
-def _about_targets(estimate, unknowns):
+def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
     markers = estimate.state.markers
     shift = shifts(estimate, unknowns)
@@ -101,7 +102,8 @@ def _about_targets(estimate, unknowns):
     return before - middle[:, None], turns
 
 
-def normal_equations(observations, derivatives, residual, unknowns, offset):
+def normal_equations(observations: Observations, derivatives: dict[int, Derivatives], residual: np.ndarray, unknowns: Unknowns,
+                     offset: np.ndarray) -> Blocks:
     """Blocks of the whitened residuals (n, 2) and of what the stated values are worth. offset : (s,) scaled, from the stated."""
     frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
     blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
@@ -111,7 +113,7 @@ def normal_equations(observations, derivatives, residual, unknowns, offset):
     return blocks
 
 
-def _add_camera(observations, found, residual, blocks):
+def _add_camera(observations: Observations, found: Derivatives, residual: np.ndarray, blocks: Blocks) -> None:
     """Add one camera's corners to Blocks, marker by marker: A^T A of a marker's four corners, summed where it belongs."""
     frame, marker = observations.frame[found.rows], observations.marker[found.rows]
     new = np.r_[True, (np.diff(frame) != 0) | (np.diff(marker) != 0)]
@@ -140,7 +142,7 @@ def _add_camera(observations, found, residual, blocks):
     np.add.at(blocks.common, columns, np.add.reduceat(g[order, k:], edges))
 
 
-def step(blocks, unknowns, damping=0.0):
+def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the shared unknowns (s,) and of each frame's own (F, l), scaled: the frames' eliminated first (Schur complement)."""
     diagonal = np.einsum("fii->fi", blocks.local)
     H = blocks.local + damping * diagonal[:, :, None] * np.eye(unknowns.local)
@@ -157,13 +159,13 @@ def promised(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
     return float(blocks.common @ shared + (blocks.own * local).sum())
 
 
-def reduce(blocks):
+def reduce(blocks: Blocks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(gain (F, l, s), reduced (s, s), right (s,)): the frames' own unknowns eliminated; own = ... - gain @ shared."""
     solved = np.linalg.solve(blocks.local, np.concatenate([blocks.cross, blocks.own[..., None]], axis=-1))
     return solved[..., :-1], *_reduced(blocks, solved)
 
 
-def _reduced(blocks, solved):
+def _reduced(blocks: Blocks, solved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     s = blocks.shared.shape[0]
     both = blocks.cross.reshape(blocks.own.size, s).T @ solved.reshape(blocks.own.size, s + 1)
     return blocks.shared - both[:, :-1], blocks.common - both[:, -1]

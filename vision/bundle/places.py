@@ -7,12 +7,13 @@ from scipy import stats
 
 from rig.design import Marker
 from rig.pose import log
-from vision.bundle.adjust import adjust
+from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.normal import linearise, normal_equations, promised, step
 from vision.bundle.unknowns import offset, unknowns
-from vision.observations import whitener
+from vision.observations import Observations, whitener
 from vision.pose.neighbours import MOST, angle, expect, reach_of
-from vision.predict import predict
+from vision.predict import State, predict
+from vision.targets import MarkerMap
 
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned
@@ -46,7 +47,7 @@ class Places:
     odd: dict[int, float]
 
 
-def places(measurement, t):
+def places(measurement, t: np.ndarray) -> Places:
     """Places of a Measurement whose markers were free. t : (F,) s of all frames of the recording."""
     m, a = measurement, measurement.adjustment
     solved = np.searchsorted(m.observations.frames, m.frames)
@@ -60,7 +61,7 @@ def places(measurement, t):
                   weighted, _odd(m, t[solved]))
 
 
-def doubtful(measurement, markers):
+def doubtful(measurement, markers: MarkerMap) -> bool:
     """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
     promises to take away. markers : MarkerMap as stated"""
     a, kept = measurement.adjustment, measurement.used()
@@ -75,7 +76,7 @@ def doubtful(measurement, markers):
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 
 
-def listed(measurement):
+def listed(measurement) -> dict[str, tuple[Marker, ...]]:
     """{target name: (Marker, ...)} as adjusted."""
     m = measurement.adjustment.state.markers
     out = {}
@@ -84,7 +85,7 @@ def listed(measurement):
     return {name: tuple(rows) for name, rows in out.items()}
 
 
-def moves(a):
+def moves(a: Adjustment) -> tuple[Move, ...]:
     """(Move, ...) of the markers that an Adjustment left free."""
     u, out = a.unknowns, []
     moved = log(a.stated.markers.T_body_marker.inv() * a.state.markers.T_body_marker)
@@ -100,7 +101,7 @@ def moves(a):
     return tuple(out)
 
 
-def _by_frame(observations, state, count):
+def _by_frame(observations: Observations, state: State, count: int) -> np.ndarray:
     """(count,) px, RMS per axis of the platform's corners in each frame."""
     on = observations.on_platform
     square = ((observations.uv - predict(observations, state)[0]) ** 2).sum(axis=1)
@@ -108,7 +109,7 @@ def _by_frame(observations, state, count):
     return np.sqrt(np.bincount(frame, weights=square[on], minlength=count) / (2 * np.bincount(frame, minlength=count)))
 
 
-def _odd(m, t):
+def _odd(m, t: np.ndarray) -> dict[int, float]:
     """{frame number: degrees} of solved frames whose platform turns against those around it by more than these predict."""
     found = dict(enumerate(m.T_base_platform.as_matrix()))
     reach = reach_of(found, t)

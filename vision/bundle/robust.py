@@ -1,6 +1,7 @@
 """All frames adjusted together with what does not fit set aside: outlying corners, frames that lose their support, and the
 part of a corner's error that comes back in every frame."""
 
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
 from vision.bundle.adjust import Adjustment, adjust
-from vision.observations import only
+from vision.observations import Observations, only
 from vision.pose.frames import PLATFORM
 from vision.predict import State, predict
 
@@ -37,7 +38,9 @@ class Sorted:
     scale: float
 
 
-def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozenset(), wide=0.0, progress=None):
+def adjust_robustly(observations: Observations, state: State, free: Sequence[str], unsolved: dict[int, str], stated: State,
+                    vouched: Collection[tuple[int, int]] = frozenset(), wide: float = 0.0,
+                    progress: Callable[[int, int], None] | None = None) -> Sorted:
     """Sorted: all frames adjusted, what does not fit set aside.
 
     state : over all frames; unsolved : {frame: reason}, added to; stated : State as its owner states it
@@ -80,7 +83,7 @@ def adjust_robustly(observations, state, free, unsolved, stated, vouched=frozens
     return Sorted(result, solved, everywhere, (scale**2 * factor)[:, None, None] * observations.covariance, float(scale))
 
 
-def _scatter(observations, inliers, state):
+def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> np.ndarray:
     """(n,) by how much the variance of each frame's corners of each body exceeds the typical: motion blurs some frames more.
 
     The frames' mean squares are taken as draws of an F distribution, whose second degrees of freedom say how alike frames
@@ -95,7 +98,7 @@ def _scatter(observations, inliers, state):
         return np.ones(len(observations))
     mean = np.maximum(total[known] / size[known], 1e-12)
 
-    def worse(log_typical, alike):
+    def worse(log_typical: float, alike: int) -> float:
         return known.sum() * log_typical - stats.f.logpdf(mean / np.exp(log_typical), size[known], alike).sum()
 
     bounds = np.log(np.median(mean)) + np.array([-2.0, 2.0])
@@ -107,7 +110,7 @@ def _scatter(observations, inliers, state):
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
-def standing_error(observations, inliers, state):
+def standing_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
     """(covariances (n, 2, 2) to weigh corners by, standing error px).
 
     A base marker seen by a fixed camera stands on the same pixels in every frame, and what the pixel grid does to it comes
@@ -135,9 +138,9 @@ def standing_error(observations, inliers, state):
     return covariance, float(np.sqrt(excess))
 
 
-def _spread(found, state, solved):
+def _spread(found: State, state: State, solved: np.ndarray) -> State:
     """The state over all frames with the solved ones' poses put in."""
-    def put(all_frames, some):
+    def put(all_frames: RigidTransform, some: RigidTransform) -> RigidTransform:
         matrices = all_frames.as_matrix()
         matrices[solved] = some.as_matrix()
         return RigidTransform.from_matrix(matrices)
@@ -146,7 +149,7 @@ def _spread(found, state, solved):
                  found.markers)
 
 
-def _medians(group, values, count):
+def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """(count,) median of the values (n,) of each group (n,), 0 for an empty one: a few corners gone wrong do not move it."""
     order = np.lexsort((values, group))
     size = np.bincount(group, minlength=count)
@@ -157,7 +160,7 @@ def _medians(group, values, count):
     return out
 
 
-def _squares(observations, state):
+def _squares(observations: Observations, state: State) -> np.ndarray:
     """(n,) whitened squares of how far the corners lie from where the state puts them; infinite behind a camera."""
     whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
     uv, ahead = predict(observations, state)
@@ -166,7 +169,7 @@ def _squares(observations, state):
     return square
 
 
-def _within_gate(observations, state, least=0.0):
+def _within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
     """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least` px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)
@@ -174,7 +177,7 @@ def _within_gate(observations, state, least=0.0):
     return (square < (GATE * scale) ** 2) | (square * typical < least**2)
 
 
-def _unsupported(observations, inliers, state, vouched):
+def _unsupported(observations: Observations, inliers: np.ndarray, state: State, vouched: Collection[tuple[int, int]]) -> dict[int, str]:
     """{frame: reason} of frames whose inliers are fewer than two sightings of the platform, or of the base by a moving camera.
 
     vouched : {(frame, body)} that do with one

@@ -4,14 +4,18 @@ Shared unknowns: poses of fixed cameras, lenses, places of markers on their targ
 of one frame: the platform's pose and each moving camera's.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.design import Camera
 from rig.pose import exp, log, skew
 from vision import lens
+from vision.observations import Observations
 from vision.predict import State
+from vision.targets import MarkerMap
 
 GROUPS = ("poses", "lenses", "markers", "targets")
 # What a stated lens is worth: standard deviations of its terms. Wide enough to leave to the images all that they can see,
@@ -63,13 +67,14 @@ class Estimate:
     target_moves: dict[str, RigidTransform]
 
 
-def lens_prior(camera):
+def lens_prior(camera: Camera) -> np.ndarray:
     """(4 + terms,) standard deviations that a stated lens is given."""
     focal = [FOCAL_PRIOR * camera.matrix[0, 0], FOCAL_PRIOR * camera.matrix[1, 1]]
     return np.array(focal + [CENTRE_PRIOR * camera.width] * 2 + [TERM_PRIOR[name] for name in lens.terms(camera.distortion)[4:]])
 
 
-def unknowns(observations, state, stated, free, worth=lens_prior):
+def unknowns(observations: Observations, state: State, stated: State, free: Sequence[str],
+             worth: Callable[[Camera], np.ndarray] = lens_prior) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
 
     stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, see `lens_prior`
@@ -82,7 +87,7 @@ def unknowns(observations, state, stated, free, worth=lens_prior):
     poses, lenses, local_poses, scale, prior, names = {}, {}, {}, [], [], []
     local = 6
 
-    def add(count, scales, held, labels):
+    def add(count: int, scales: list[float], held: float, labels: list[tuple[str, str]]) -> slice:
         scale.extend(scales)
         prior.extend([held] * count)
         names.extend(labels)
@@ -121,7 +126,7 @@ def unknowns(observations, state, stated, free, worth=lens_prior):
     return found, replace(start, marker_moves=_marker_moves(start, stated, found)) if markers else start
 
 
-def _anchored(observations):
+def _anchored(observations: Observations) -> set[int]:
     """{camera index} of those that show enough of the base's markers to say where they stand, all of them in a rig without any."""
     base = np.unique(np.stack([observations.camera, observations.marker], axis=1)[~observations.on_platform], axis=0)
     if not len(base):
@@ -130,25 +135,25 @@ def _anchored(observations):
     return set(cameras[count >= ANCHORS].tolist())
 
 
-def _motion_of(name, markers, stated, unknowns):
+def _motion_of(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform, how the seen markers of a target, together, have moved from where they were stated, about its middle."""
     own = [row for row in unknowns.seen if markers.target[row] == name]
     middle = RigidTransform.from_translation(unknowns.middles[name])
     return middle.inv() * aligned(stated.corners[own].reshape(-1, 3), markers.corners[own].reshape(-1, 3)) * middle
 
 
-def _marker_moves(estimate, stated, unknowns):
+def _marker_moves(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what moved each marker beyond its target's own motion; nothing where the marker is held."""
     own = stated.markers.T_body_marker.inv() * shifts(estimate, unknowns).inv() * estimate.state.markers.T_body_marker
     held = np.array([row not in unknowns.markers for row in range(len(estimate.state.markers.id))])
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
 
-def _place_prior(side):
+def _place_prior(side: float) -> list[float]:
     return [PLACE_PRIOR[0] * side] * 3 + [PLACE_PRIOR[1]] * 3
 
 
-def _basis(observations, state, unknowns):
+def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.ndarray:
     """(shared, k) basis of the shared motions that leave base and platform frame where the stated places put them."""
     rows = [np.zeros((0, unknowns.shared))]
     if observations.on_platform.all() and unknowns.poses and not unknowns.local_poses:
@@ -176,12 +181,12 @@ def _basis(observations, state, unknowns):
     return vt[rank:].T
 
 
-def _held_by_cameras(unknowns, state):
+def _held_by_cameras(unknowns: Unknowns, state: State) -> bool:
     """Whether fixed cameras, held as stated, hold the base frame by themselves."""
     return not unknowns.poses and len(state.moving) < len(state.cameras)
 
 
-def _mean_motion(markers, rows, unknowns, with_targets):
+def _mean_motion(markers: MarkerMap, rows: np.ndarray, unknowns: Unknowns, with_targets: bool) -> np.ndarray:
     """(6, shared) the motion as one body that small motions of markers (rows) and their targets make: sums over their corners."""
     corners, out = markers.corners, np.zeros((6, unknowns.shared))
     middle = corners[rows].mean(axis=(0, 1))
@@ -199,7 +204,7 @@ def _mean_motion(markers, rows, unknowns, with_targets):
     return out
 
 
-def move(estimate, unknowns, shared, local):
+def move(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.ndarray) -> Estimate:
     """Estimate after steps shared (s,) and local (F, l), both in scaled units."""
     state, step = estimate.state, shared * unknowns.scale
     cameras = list(state.cameras)
@@ -226,7 +231,7 @@ def move(estimate, unknowns, shared, local):
     return Estimate(State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers), marker_moves, target_moves)
 
 
-def shifts(estimate, unknowns):
+def shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what its target's motion does to each marker, in the body's frame."""
     matrices = np.tile(np.eye(4), (len(estimate.state.markers.id), 1, 1))
     for name, T in estimate.target_moves.items():
@@ -236,7 +241,7 @@ def shifts(estimate, unknowns):
     return RigidTransform.from_matrix(matrices)
 
 
-def offset(estimate, stated, unknowns):
+def offset(estimate: Estimate, stated: State, unknowns: Unknowns) -> np.ndarray:
     """(s,) how far lenses, places and cameras' poses that are held have moved from what was stated, in scaled units; 0 for other poses."""
     out, cameras = np.zeros(unknowns.shared), estimate.state.cameras
     for i, columns in unknowns.poses.items():
@@ -254,7 +259,7 @@ def offset(estimate, stated, unknowns):
     return out / unknowns.scale
 
 
-def to_datums(estimate, stated, unknowns):
+def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate:
     """The same cameras, markers and poses seen from the frames that the stated places hold: small steps drift off by their squares.
 
     Corners of all seen markers of a body, taken together, end where they were stated, in the least-squares sense.
@@ -283,7 +288,7 @@ def to_datums(estimate, stated, unknowns):
     return replace(found, marker_moves=_marker_moves(found, stated, unknowns))
 
 
-def aligned(points, goal):
+def aligned(points: np.ndarray, goal: np.ndarray) -> RigidTransform:
     """RigidTransform that maps points (n, 3) m onto goal (n, 3) best. Source: Kabsch 1976, by SciPy."""
     turn, _ = Rotation.align_vectors(goal - goal.mean(axis=0), points - points.mean(axis=0))
     return RigidTransform.from_components(goal.mean(axis=0) - turn.apply(points.mean(axis=0)), turn)

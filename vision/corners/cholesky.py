@@ -2,11 +2,13 @@
 
 import math
 
+import numpy as np
+
 from vision.corners.jit import kernel
 
 
 @kernel
-def factor(H, first, size, L):
+def factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
     """Cholesky factor L of H[first:first + size, first:first + size]; False where that is not definite."""
     for i in range(size):
         for j in range(i + 1):
@@ -23,7 +25,7 @@ def factor(H, first, size, L):
 
 
 @kernel
-def solve(L, size, b, x):
+def solve(L: np.ndarray, size: int, b: np.ndarray, x: np.ndarray) -> None:
     """x that L L' sends to b."""
     for i in range(size):
         total = b[i]

@@ -1,5 +1,7 @@
 """Image -> marker corners with covariance: OpenCV finds and reads the markers, the fit of the whole square places them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -7,11 +9,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.design import Camera
 from vision.corners import edges, gauss_newton, local_lens, sides, square
-from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN
+from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN, Spread
 from vision.predict import expected
-from vision.targets import marker_cells
+from vision.targets import MarkerMap, marker_cells
 
 ITERATIONS = 25
 ROOM = 6.0  # px around a marker that its blur may take
@@ -34,15 +38,23 @@ _REASONS = {gauss_newton.NO_PIXELS: "too few pixels", gauss_newton.SINGULAR: "it
             gauss_newton.UNSETTLED: "the fit did not settle", gauss_newton.NOT_READ: _UNREAD}
 
 
+class LeftOut(NamedTuple):
+    """A marker that was read and not placed. marker : identity; reason : in words; repeated : whether it is that one image shows it twice."""
+
+    marker: int
+    reason: str
+    repeated: bool = False
+
+
 class Read(NamedTuple):
     """Markers whose corners are known to a pixel or so: as a reader saw them, or where they are expected.
 
-    marker : (m,) identities; corners : (m, 4, 2) px; left_out : (identity, reason) of those that are not to be placed
+    marker : (m,) identities; corners : (m, 4, 2) px; left_out : those that are not to be placed
     """
 
     marker: np.ndarray
     corners: np.ndarray
-    left_out: Sequence[tuple[int, str]] = ()
+    left_out: Sequence[LeftOut] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +64,7 @@ class Detection:
     marker : (m,) identities; corners : (m, 4, 2) px, OpenCV's pixel centres and corner order
     covariance : (m, 8, 8) px^2, of u0 v0 u1 v1 ..; blur : (m,) px, edge width, the pixel's own included
     noise : (m,) grey levels, standard deviation of what the fit leaves; contrast : (m,) grey levels
-    left_out : (identity, reason) of markers that were read and not placed
+    left_out : markers that were read and not placed
     """
 
     marker: np.ndarray
@@ -61,20 +73,20 @@ class Detection:
     blur: np.ndarray
     noise: np.ndarray
     contrast: np.ndarray
-    left_out: tuple[tuple[int, str], ...]
+    left_out: tuple[LeftOut, ...]
 
     @property
     def read(self) -> Read:
         """The same as markers to be placed once more."""
         return Read(self.marker, self.corners, self.left_out)
 
-    def take(self, index):
+    def take(self, index: np.ndarray) -> Detection:
         """The same with only the markers of an index or mask (m,)."""
         return Detection(self.marker[index], self.corners[index], self.covariance[index], self.blur[index], self.noise[index],
                          self.contrast[index], self.left_out)
 
 
-def grey(image, reader=True):
+def grey(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
 
     reader : whether the first is wanted. Raises ValueError for any other kind.
@@ -93,7 +105,7 @@ def grey(image, reader=True):
 
 
 @lru_cache
-def dictionary_reader(name):
+def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
     """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
@@ -101,7 +113,8 @@ def dictionary_reader(name):
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
-def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtful=False):
+def detect(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
+           doubtful: bool = False) -> Detection:
     """All markers of a rig in one image.
 
     image : as cv2.imread(path, cv2.IMREAD_UNCHANGED) gives it; camera : Camera that took it, whose lens bends the edges
@@ -114,7 +127,7 @@ def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtf
     if T_base_platform is not None:
         rows, places = expected(camera, T_base_platform, marker_map)
         found = place(grey(image, False)[1], camera, marker_map, Read(marker_map.id[rows], places), spread, EXPECTED_REACH, verify=True)
-        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(number for number, _ in found.left_out)])
+        on, read = marker_map.on_platform[rows], np.isin(marker_map.id[rows], [*found.marker, *(one.marker for one in found.left_out)])
         if len(rows) and all(read[body].sum() >= BELIEVED * body.sum() for body in (on, ~on)) and not (
                 doubtful and _others(image, marker_map, rows[~read], places[~read])):
             return found
@@ -122,7 +135,7 @@ def detect(image, camera, marker_map, spread=PLAIN, T_base_platform=None, doubtf
     return place(full, camera, marker_map, search(eight, marker_map), spread)
 
 
-def _others(image, marker_map, rows, places):
+def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: np.ndarray) -> bool:
     """Whether any marker is read around places (m, 4, 2) px where those of rows (m,) were not: another, turned, or a little way off."""
     for row, quad in zip(rows, places):
         around = AROUND * np.ptp(quad, axis=0).max()
@@ -134,7 +147,7 @@ def _others(image, marker_map, rows, places):
     return False
 
 
-def search(eight, marker_map):
+def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
     """Read from an image (height, width) uint8; a marker that is seen twice is left out."""
     found, left_out = {}, []
     for name in dict.fromkeys(marker_map.dictionary):
@@ -145,12 +158,13 @@ def search(eight, marker_map):
             if row >= 0 and marker_map.dictionary[row] == name:
                 found.setdefault(number, []).append(quad)
     for number in [number for number, quads in found.items() if len(quads) > 1]:
-        left_out.append((number, f"seen {len(found.pop(number))} times in one image"))
+        left_out.append(LeftOut(number, f"seen {len(found.pop(number))} times in one image", True))
     numbers = sorted(found)
     return Read(np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out)
 
 
-def place(full, camera, marker_map, read, spread=PLAIN, reach=REACH, verify=False, profile=None):
+def place(full: np.ndarray, camera: Camera, marker_map: MarkerMap, read: Read, spread: Spread = PLAIN, reach: float = REACH, verify: bool = False,
+          profile: np.ndarray | None = None) -> Detection:
     """Detection of markers that are Read.
 
     full : (height, width) in 255ths of white; spread : Spread of the camera's edges
@@ -173,7 +187,7 @@ def place(full, camera, marker_map, read, spread=PLAIN, reach=REACH, verify=Fals
         fits = _fit(squares, guess[index], manner, NO_PROFILE if profile is None else profile)
         reasons = _reasons(fits, guess[index], int(size))
         good = np.array([not reason for reason in reasons], bool)
-        left_out += [(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
+        left_out += [LeftOut(int(numbers[i]), reason) for i, reason in zip(index, reasons) if reason and reason != _UNREAD]
         parts.append((numbers[index[good]], fits.corners[good], fits.covariances[good], fits.width[good], fits.noise[good], fits.contrast[good]))
     if not parts:
         empty = np.zeros(0)
@@ -191,7 +205,7 @@ class _Printed(NamedTuple):
     margins: np.ndarray
 
 
-def _cut_out(full, camera, quads, printed, spread, reach):
+def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Printed, spread: Spread, reach: float) -> square.Squares:
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
@@ -212,7 +226,7 @@ def _cut_out(full, camera, quads, printed, spread, reach):
     return square.Squares(pixels, starts, boxes, polynomials, centres, printed.cells, printed.outlooks, printed.margins, directions)
 
 
-def _fit(squares, quads, manner, profile):
+def _fit(squares: square.Squares, quads: np.ndarray, manner: square.Manner, profile: np.ndarray) -> square.Fits:
     """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
     m = len(quads)
     fits = square.Fits(quads.copy(), np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), *np.zeros((6, m)), np.zeros(m, np.int64), profile)
@@ -220,7 +234,7 @@ def _fit(squares, quads, manner, profile):
     return fits
 
 
-def _reasons(fits, quads, size):
+def _reasons(fits: square.Fits, quads: np.ndarray, size: int) -> list[str]:
     """Why each of the Fits is left out, or "" where it is not. quads : (m, 4, 2) px, where they were read; size : cells, white ring and all."""
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
     wandered = np.abs(fits.corners - quads).max(axis=(1, 2)) > np.maximum(WANDER * sides_px.max(axis=1) / (size - 2), LEAST_WANDER)
@@ -228,7 +242,7 @@ def _reasons(fits, quads, size):
     return [_reason(*row) for row in zip(*(column.tolist() for column in columns))]
 
 
-def _reason(status, cell, wandered, noise, contrast, doubted):
+def _reason(status: int, cell: float, wandered: bool, noise: float, contrast: float, doubted: float) -> str:
     """Why a marker is left out, or "" where it is not."""
     if status == gauss_newton.NOT_READ:
         return _UNREAD
@@ -246,6 +260,6 @@ def _reason(status, cell, wandered, noise, contrast, doubted):
 
 
 @cache
-def _pattern(name, number):
+def _pattern(name: str, number: int) -> tuple[np.ndarray, np.ndarray]:
     cells = marker_cells(name, number)
     return cells, edges.outlook(cells)

@@ -46,7 +46,7 @@ class Printed(NamedTuple):
     centre: np.ndarray
 
 
-def outlook(cells):
+def outlook(cells: np.ndarray) -> np.ndarray:
     """(k, k, 16) int8 of cells (k, k): what a pixel of each cell sees, by which of its sides (1 left, 2 right, 4 top, 8 bottom) are in reach.
 
     NOTHING, SEVERAL edges, or one: 2 + 4 where it lies across (Y) + 2 where it is the right or lower side + 1 where white comes first
@@ -69,7 +69,7 @@ def outlook(cells):
 
 
 @kernel
-def _row(quad, pad, y, low, high):
+def _row(quad: np.ndarray, pad: float, y: int, low: int, high: int) -> tuple[int, int]:
     """Pixels [low, high) of image row y that lie in a convex quad (4, 2) px widened by pad."""
     first, last = low - 1.0, high + 1.0
     for k in range(4):
@@ -85,7 +85,7 @@ def _row(quad, pad, y, low, high):
 
 
 @kernel
-def edge_pixels(crop, marker, quad, g, s, pixels):
+def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarray, s: float, pixels: EdgePixels) -> int:
     """Collect the pixels near an edge into EdgePixels; returns how many.
 
     crop : (rows, columns), 255ths of white, of marker.box; marker : Printed; quad : (4, 2) px, the corners

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.cholesky import factor, solve
-from vision.corners.edges import REACH
+from vision.corners.edges import REACH, EdgePixels
 from vision.corners.jit import kernel
-from vision.corners.pattern import Meeting, edge, pattern, wide_pattern
+from vision.corners.pattern import Meeting, Tables, edge, pattern, wide_pattern
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
@@ -70,7 +70,7 @@ class Moved(NamedTuple):
 
 
 @kernel
-def accumulate(pixels, count, cells, square, tables, limit, lit, work):
+def accumulate(pixels: EdgePixels, count: int, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work) -> Counted:
     """work.H (ROWS, ROWS) = J J' over pixels, whose last row of J is the residual.
 
     pixels : EdgePixels, the first `count`; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
@@ -150,7 +150,7 @@ def accumulate(pixels, count, cells, square, tables, limit, lit, work):
 
 
 @kernel
-def corners_at(g, n, corners, J):
+def corners_at(g: np.ndarray, n: int, corners: np.ndarray, J: np.ndarray) -> bool:
     """Local ideal coordinates (4, 2) of the square's corners and their Jacobian (8, 8) to g; False where it has turned over."""
     for c in range(4):
         X = -1.0 if c == 0 or c == 3 else n + 1.0
@@ -173,7 +173,7 @@ def corners_at(g, n, corners, J):
 
 
 @kernel
-def step(square, n, scale, corners, work):
+def step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) -> Moved:
     """Move the square's g and light in place by a Gauss-Newton step.
 
     square : Square; n : bits each way; scale : px, of local coordinates; corners : (4, 2), overwritten; work : Work as accumulated
@@ -204,7 +204,7 @@ def step(square, n, scale, corners, work):
 
 
 @kernel
-def corner_covariance(work, weights, covariance):
+def corner_covariance(work: Work, weights: float, covariance: np.ndarray) -> float:
     """(8, 8) covariance of the corners' local ideal coordinates, from the residuals' own scatter; returns that (grey levels).
 
     work : Work of the last step, whose x is overwritten; weights : sum of the pixels' weights

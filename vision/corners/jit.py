@@ -1,7 +1,9 @@
 """How numba compiles: once, to files named after all kernels' sources, without the interpreter's lock, in fast mathematics."""
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from numba import config, njit
 
@@ -10,8 +12,10 @@ from rig.compiled import kernel_folder
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
+F = TypeVar("F", bound=Callable)
 
-def _folder():
+
+def _folder() -> str:
     """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this one, has changed."""
     here = Path(__file__).parent
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
@@ -23,7 +27,7 @@ def _folder():
 _FOLDER = _folder()
 
 
-def kernel(function):
+def kernel(function: F) -> F:
     """Compile a function when it is first called, or load what was compiled in an earlier run."""
     before, config.CACHE_DIR = config.CACHE_DIR, _FOLDER
     try:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rig.design import Camera
 from vision import lens
 from vision.corners.jit import kernel
 
@@ -16,13 +17,13 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
-def table(camera):
+def table(camera: Camera) -> np.ndarray:
     """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal lengths; NaN beyond a lens."""
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)
 
 
 @lru_cache(maxsize=64)
-def _table(matrix, distortion, width, height):
+def _table(matrix: bytes, distortion: bytes, width: int, height: int) -> np.ndarray:
     matrix, distortion = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     u, v = (SPACING * np.arange(-BEYOND, int(size / SPACING) + BEYOND + 2) for size in (width, height))
     ideal = lens.undistort(np.stack(np.meshgrid(u, v), axis=-1), matrix, distortion)
@@ -30,7 +31,7 @@ def _table(matrix, distortion, width, height):
 
 
 @kernel
-def _at(nodes, x, y):
+def _at(nodes: np.ndarray, x: float, y: float) -> tuple[float, float]:
     """The table's value at pixel x, y: cubic through four nodes each way (Lagrange)."""
     x, y = x / SPACING + BEYOND, y / SPACING + BEYOND
     i, j = min(max(int(x), 1), nodes.shape[1] - 3), min(max(int(y), 1), nodes.shape[0] - 3)
@@ -47,7 +48,7 @@ def _at(nodes, x, y):
 
 
 @kernel
-def polynomials(nodes, centres, out):
+def polynomials(nodes: np.ndarray, centres: np.ndarray, out: np.ndarray) -> None:
     """out (m, 2, 10): cubics from local pixel to local ideal coordinates around centres (m, 3) x, y, scale px.
 
     Local pixel: (pixel - centre) / scale. Local ideal: (ideal * focal - its value at the centre) / scale. nodes : `table`
@@ -64,7 +65,7 @@ def polynomials(nodes, centres, out):
 
 
 @kernel
-def to_ideal(lens, u, v):
+def to_ideal(lens: np.ndarray, u: float, v: float) -> tuple[float, float]:
     """Local ideal coordinates of local pixel coordinates by the cubic polynomials of a lens (2, 10)."""
     x = lens[0, 0] + u * (lens[0, 1] + u * (lens[0, 3] + u * lens[0, 6])) + v * (
         lens[0, 2] + u * (lens[0, 4] + u * lens[0, 7]) + v * (lens[0, 5] + u * lens[0, 8] + v * lens[0, 9]))
@@ -85,7 +86,7 @@ class LocalPixel(NamedTuple):
 
 
 @kernel
-def to_pixel(lens, x, y, u, v):
+def to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalPixel:
     """LocalPixel that `to_ideal` sends to x, y, from a guess u, v."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
@@ -102,7 +103,7 @@ def to_pixel(lens, x, y, u, v):
 
 
 @kernel
-def to_image(lens, centre, guess, corners, covariance):
+def to_image(lens: np.ndarray, centre: np.ndarray, guess: np.ndarray, corners: np.ndarray, covariance: np.ndarray) -> None:
     """Corners (4, 2), in place, and their covariance (8, 8) from local ideal coordinates to px; guess : (4, 2) px."""
     D = np.zeros((8, 8))
     for c in range(4):

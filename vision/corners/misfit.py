@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from vision.corners.edges import EdgePixels
+from vision.corners.gauss_newton import Square
 from vision.corners.jit import kernel
 from vision.corners.pattern import edge
 
@@ -13,13 +15,13 @@ PROFILED = 3.4  # edge widths on either side of an edge that a profile covers
 
 
 @kernel
-def _near(X, top):
+def _near(X: float, top: int) -> int:
     """Cell -2, -1, .. of a coordinate, counted from 0 and held within 0 .. top."""
     return min(max(int(X + 2), 0), top)
 
 
 @kernel
-def segments(pixels, count, g, rows, x, sums):
+def segments(pixels: EdgePixels, count: int, g: np.ndarray, rows: np.ndarray, x: np.ndarray, sums: np.ndarray) -> None:
     """sums (2, n + 5, n + 5, 2) over the pixels of each side of a cell, on X and on Y edges: slope times what the last step leaves, slope^2.
 
     pixels : EdgePixels, the first `count`; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; x : the last step
@@ -53,7 +55,7 @@ def segments(pixels, count, g, rows, x, sums):
 
 
 @kernel
-def misfit(sums, noise):
+def misfit(sums: np.ndarray, noise: float) -> float:
     """What the corners' covariance must be multiplied by, at least 1: how much more edges are out of place than noise moves them.
 
     sums : of `segments`; noise : grey levels. White noise leaves a cell's side as far out of place as its pixels' slopes say; a blur of
@@ -71,7 +73,8 @@ def misfit(sums, noise):
 
 
 @kernel
-def profile_left(pixels, count, square, tables, directions, limit, profile):
+def profile_left(pixels: EdgePixels, count: int, square: Square, tables: np.ndarray, directions: np.ndarray, limit: float,
+                 profile: np.ndarray) -> None:
     """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
 
     pixels : EdgePixels, the first `count`; square : Square; tables : (d, STEPS + 1, 2), and directions (2,) the rows of it and of the profile

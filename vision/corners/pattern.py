@@ -41,7 +41,7 @@ class Share(NamedTuple):
 
 
 @kernel
-def edge(table, x):
+def edge(table: np.ndarray, x: float) -> tuple[float, float]:
     """Share of white and its slope at x edge widths from an edge, from a table (STEPS + 1, 2)."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
@@ -50,7 +50,7 @@ def edge(table, x):
 
 
 @kernel
-def _meeting(h, k, rho):
+def _meeting(h: float, k: float, rho: float) -> float:
     """Bivariate normal distribution less the product of its margins."""
     total = 0.0
     for g in range(3):
@@ -61,7 +61,7 @@ def _meeting(h, k, rho):
 
 
 @kernel
-def pattern(cells, i, j, X, Y, meeting, table_x, table_y):
+def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
     """Share at cell coordinates X, Y in or next to cell (i, j), of edges as in Meeting, with their spread functions.
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
@@ -101,7 +101,7 @@ def pattern(cells, i, j, X, Y, meeting, table_x, table_y):
 
 
 @kernel
-def wide_pattern(cells, i, j, X, Y, meeting, table_x, table_y):
+def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
     """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
     sx, sy, rho = meeting
     last = cells.shape[0] - 1

@@ -12,7 +12,7 @@ FAINTEST = 6.0  # grey levels; a step below this is none
 
 
 @kernel
-def cut(image, boxes, starts, out):
+def cut(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
     """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
     for m in range(len(boxes)):
         k = starts[m]
@@ -23,7 +23,7 @@ def cut(image, boxes, starts, out):
 
 
 @kernel
-def _between(crop, x, y):
+def _between(crop: np.ndarray, x: float, y: float) -> float:
     """Grey level between pixels, held at the border."""
     x = min(max(x, 0.0), crop.shape[1] - 1.001)
     y = min(max(y, 0.0), crop.shape[0] - 1.001)
@@ -33,7 +33,7 @@ def _between(crop, x, y):
 
 
 @kernel
-def straighten(crop, box, quad, size, reach):
+def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
     """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
 
     A side is moved by a line through the steps found within reach (px) and within the border of black, one of `size` cells; it stays
@@ -104,7 +104,7 @@ def straighten(crop, box, quad, size, reach):
 
 
 @kernel
-def homography(quad, lens, centre, n, g):
+def homography(quad: np.ndarray, lens: np.ndarray, centre: np.ndarray, n: int, g: np.ndarray) -> bool:
     """g (3, 3), last entry 1: local ideal coordinates to cells, for a square of n + 2 cells whose corners are quad (4, 2) px.
 
     False where the corners do not turn clockwise around a convex figure. Source: Heckbert 1989, square to quadrilateral
@@ -133,7 +133,7 @@ def homography(quad, lens, centre, n, g):
 
 
 @kernel
-def misread(crop, box, quad, cells):
+def misread(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, cells: np.ndarray) -> int:
     """How many of a marker's cells, its black border among them, have not the colour that they ought to; quad (4, 2) px.
 
     All of them where white is no brighter than black. Five points of each cell are read.

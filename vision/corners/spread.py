@@ -27,25 +27,25 @@ PLAUSIBLE = 0.02  # of the contrast, how far a camera's edges are expected to be
 LEAST = 2000  # pixels from which anything is learnt
 
 
-def _splines(h):
+def _splines(h: np.ndarray) -> np.ndarray:
     """(..., KNOTS) odd pairs of cubic B-splines at distances h (edge widths)."""
     at = np.asarray(h)[..., None] / KNOT
     knots = np.arange(1, KNOTS + 1)
     return _bump(at - knots) - _bump(at + knots)
 
 
-def _bump(t):
+def _bump(t: np.ndarray) -> np.ndarray:
     """The cubic B-spline of unit knots about 0."""
     t = np.abs(t)
     return np.where(t < 1, 2 / 3 - t * t + t**3 / 2, np.where(t < 2, (2 - np.minimum(t, 2)) ** 3 / 6, 0.0))
 
 
-def _waves(angles):
+def _waves(angles: np.ndarray) -> np.ndarray:
     """(..., 5) Fourier series of a direction, of period half a turn."""
     return np.stack([f(k * angles) for k in HARMONICS for f in ((np.cos, np.sin) if k else (np.cos,))], axis=-1)
 
 
-def _plain():
+def _plain() -> np.ndarray:
     """(widths, DIRECTIONS, STEPS + 1, 2) share of white and its slope across an edge that a Gaussian blurs and square pixels integrate."""
     angles = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     half_c, half_s = (np.maximum(np.abs(f(angles)), 1e-3)[:, None] / 2 for f in (np.cos, np.sin))
@@ -76,11 +76,11 @@ class Spread:
     terms: np.ndarray = field(default_factory=lambda: np.zeros((KNOTS, 2 * len(HARMONICS) - 1)))
     tables: np.ndarray = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         more = _waves(np.pi * np.arange(DIRECTIONS) / DIRECTIONS) @ self.terms.T @ _splines(GRID).T
         object.__setattr__(self, "tables", _PLAIN + np.stack([more, np.gradient(more, GRID, axis=1)], axis=-1))
 
-    def rows(self, angles):
+    def rows(self, angles: np.ndarray) -> np.ndarray:
         """(...,) row of the tables for directions (rad) of edges' normals."""
         return np.rint(np.asarray(angles) % np.pi / np.pi * DIRECTIONS).astype(np.int64) % DIRECTIONS
 
@@ -89,12 +89,12 @@ PLAIN = Spread()
 NO_PROFILE = np.zeros((1, 0, 3))
 
 
-def empty_profile():
+def empty_profile() -> np.ndarray:
     """(DIRECTIONS, BINS, 3) of zeros, for `place` to add to: pixels, what a fit leaves in them (share of contrast), its squares."""
     return np.zeros((DIRECTIONS, BINS, 3))
 
 
-def learn(spread, profile, width):
+def learn(spread: Spread, profile: np.ndarray, width: float) -> Spread:
     """Spread that takes in what fits with `spread` have left.
 
     profile : (DIRECTIONS, BINS, 3); width : px, typical of the edges. Where there are too few pixels the spread stays as it was.

@@ -106,8 +106,11 @@ class Fits(NamedTuple):
     profile: np.ndarray
 
 
+Room = tuple[EdgePixels, EdgePixels, Work, np.ndarray]  # see `_room`
+
+
 @kernel
-def _room(largest, n):
+def _room(largest: int, n: int) -> Room:
     """(all EdgePixels, a sample of them, Work, sums of `segments`) for markers of n bits each way in boxes of at most so many pixels."""
     every = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
     sample = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
@@ -117,14 +120,14 @@ def _room(largest, n):
 
 
 @kernel
-def _take(every, sample, count, stride):
+def _take(every: EdgePixels, sample: EdgePixels, count: int, stride: int) -> None:
     """Copy each stride-th of the first `count` pixels into the sample."""
     for k in range(0, count, stride):
         sample.points[k // stride], sample.greys[k // stride], sample.places[k // stride] = every.points[k], every.greys[k], every.places[k]
 
 
 @kernel
-def _lighten(work, light):
+def _lighten(work: Work, light: np.ndarray) -> bool:
     """Set the greys from normal equations in which the square's place is held; False where white is no brighter than black."""
     H = work.H
     for k in range(6):
@@ -135,7 +138,7 @@ def _lighten(work, light):
 
 
 @kernel
-def fit_squares(squares, manner, fits):
+def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
     """Fit every marker of an image: Squares in the given Manner, into Fits."""
     boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, manner.width
     largest = 1
@@ -158,7 +161,7 @@ def fit_squares(squares, manner, fits):
 
 
 @kernel
-def _fit_square(crop, marker, m, s, manner, fits, room):
+def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
     every, sample, work, sums = room
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import DICTIONARIES
+from rig.design import DICTIONARIES, Camera
 from rig.errors import RigError
 from vision import lens
 from vision.corners.detect import detect, grey
@@ -34,14 +34,14 @@ class Board:
     legacy: bool = False
 
     @property
-    def points(self):
+    def points(self) -> np.ndarray:
         """(n, 3) m, corners that are measured: x right, y down, z = 0; of a charuco its inner corners row by row, else markers' four."""
         if self.kind == "charuco":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return np.stack([x.ravel() * self.pitch, y.ravel() * self.pitch, 0.0 * x.ravel()], axis=1)
         return self.marker_corners().reshape(-1, 3)
 
-    def places(self):
+    def places(self) -> np.ndarray:
         """(m, 2) m, middles of the markers in the order of their identities."""
         x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         x, y = x.ravel(), y.ravel()
@@ -50,13 +50,13 @@ class Board:
             return (np.stack([x[odd], y[odd]], axis=1) + 0.5) * self.pitch
         return np.stack([x, y], axis=1) * self.pitch + self.side / 2
 
-    def marker_corners(self):
+    def marker_corners(self) -> np.ndarray:
         """(m, 4, 3) m, corners of the markers, clockwise from the top left."""
         middles = np.pad(self.places(), ((0, 0), (0, 1)))
         return middles[:, None] + self.side * SQUARE * [1, -1, 1]
 
 
-def parse(text):
+def parse(text: str) -> Board:
     """Board of its description. Raises RigError saying what is wrong with which part."""
     parts = text.split(":")
     kind = parts[0]
@@ -99,7 +99,7 @@ class BoardView:
     left_out: tuple[tuple[int, str], ...]
 
 
-def see(image, board, camera):
+def see(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     """BoardView of an image as cv2 reads it. camera : Camera whose lens bends the edges (no distortion for the first look)."""
     if board.kind == "aruco":
         return _markers(image, board, camera)
@@ -136,7 +136,7 @@ def see(image, board, camera):
                      np.array([one.covariance for one in out]).reshape(-1, 2, 2), tuple(left_out))
 
 
-def _markers(image, board, camera):
+def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     middles = np.pad(board.places() * [1, -1], ((0, 0), (0, 1)))
     gap = (board.pitch - board.side) / 2
     map_ = MarkerMap(np.arange(len(middles)), np.zeros(len(middles), bool), RigidTransform.from_translation(middles),
@@ -147,14 +147,14 @@ def _markers(image, board, camera):
     return BoardView(rows, found.corners.reshape(-1, 2), covariance.reshape(-1, 2, 2), tuple((4 * number, why) for number, why in found.left_out))
 
 
-def _straight(camera):
+def _straight(camera: Camera) -> junction.Straight:
     """Pixels to coordinates without the lens's distortion, px, and one of these back with its Jacobian."""
     K, D = camera.matrix, camera.distortion
     focal, centre = np.diag(K)[:2], K[:2, 2]
     if not np.any(D):
         return junction.Straight(lambda uv: uv, lambda xy: (xy, np.eye(2)))
 
-    def back(xy):
+    def back(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         uv, J, _ = lens.project_jacobian(np.append((xy - centre) / focal, 1.0), K, D)
         return uv, J[:, :2] / focal
 

@@ -1,5 +1,6 @@
 """One camera's lens from photographs of a flat board: lens models compared on photographs held out, and how well it projects."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -10,6 +11,7 @@ from rig.design import Camera
 from rig.errors import NotEnoughData
 from vision import lens
 from vision.bundle.adjust import Adjustment, adjust
+from vision.lenses.board import Board, BoardView
 from vision.observations import Observations, only
 from vision.predict import State, predict
 
@@ -47,7 +49,7 @@ class HeldOut:
     corners: int
 
 
-def observations_of(views, board):
+def observations_of(views: Sequence[BoardView], board: Board) -> Observations:
     """Observations of BoardViews, one frame each; corners count four to a `marker`. Raises NotEnoughData where too few are usable."""
     usable = [(f, view) for f, view in enumerate(views) if len(view.corner) >= LEAST_CORNERS]
     if len(usable) < LEAST_IMAGES:
@@ -62,7 +64,7 @@ def observations_of(views, board):
                         np.zeros(len(corner), bool), True)
 
 
-def calibrate(observations, width, height, terms, name="cam0", inliers=None):
+def calibrate(observations: Observations, width: int, height: int, terms: int, name: str = "cam0", inliers: np.ndarray | None = None) -> Fit:
     """Fit of a lens with that many distortion terms. inliers : (n,) bool to hold to, or None: found here.
 
     Raises NotEnoughData where corners do not determine it.
@@ -85,7 +87,7 @@ def calibrate(observations, width, height, terms, name="cam0", inliers=None):
     return Fit(terms, state.cameras[0], residuals, good, float(np.sqrt((residuals[good] ** 2).mean())), result)
 
 
-def hold_out(observations, width, height, terms, inliers):
+def hold_out(observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray) -> HeldOut:
     """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it."""
     o, by_image, total, count = observations, [], 0.0, 0
     for f in range(len(o.frames)):
@@ -101,7 +103,7 @@ def hold_out(observations, width, height, terms, inliers):
     return HeldOut(terms, float(np.sqrt(total / (2 * count))), tuple(by_image), count)
 
 
-def choose(held):
+def choose(held: Sequence[HeldOut]) -> HeldOut:
     """The HeldOut to take: the simplest within one standard error of the best. held : one per model, simplest first."""
     best = min(held, key=lambda one: one.rms)
     for one in held:
@@ -111,7 +113,7 @@ def choose(held):
     return best
 
 
-def projection_uncertainty(fit, step=40):
+def projection_uncertainty(fit: Fit, step: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """(uv (r, c, 2) px, sigma (r, c) px): standard uncertainty of where the lens puts a direction, over the frame.
 
     The part that a small turn of the camera would undo is taken out, for a camera's pose is always found with its lens.
@@ -133,7 +135,7 @@ def projection_uncertainty(fit, step=40):
     return uv, np.where(inside, np.sqrt(np.trace(C, axis1=-2, axis2=-1) / 2), np.nan)
 
 
-def _cross(points):
+def _cross(points: np.ndarray) -> np.ndarray:
     out = np.zeros((*points.shape, 3))
     x, y, z = np.moveaxis(points, -1, 0)
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
@@ -141,14 +143,14 @@ def _cross(points):
     return out
 
 
-def _worth(camera, terms):
+def _worth(camera: Camera, terms: int) -> np.ndarray:
     """(4 + terms,) standard deviations before the images: next to nothing known, or pinned."""
     names = lens.terms(camera.distortion)[4:]
     return np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.width, camera.width]
                     + [WIDE[name] if k < terms else PINNED for k, name in enumerate(names)])
 
 
-def _start(o, width, height, terms, name, camera=None):
+def _start(o: Observations, width: int, height: int, terms: int, name: str, camera: Camera | None = None) -> State:
     """State with a first guess of the lens, unless a Camera is given, and of the board's pose in every photograph."""
     frames = range(len(o.frames))
     if camera is None:

@@ -1,5 +1,6 @@
 """Photographs of a board -> the lens that took them, with what was left out and how every lens model did."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import Camera
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.exposures import read_image
-from vision.lenses.board import Board, see
+from vision.lenses.board import Board, BoardView, see
 from vision.lenses.calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
 from vision.observations import Observations
 
@@ -41,18 +42,19 @@ class Calibrated:
     sigma: np.ndarray
 
     @property
-    def middle(self):
+    def middle(self) -> float:
         """px, standard uncertainty of projection in the middle of the frame."""
         rows, columns = self.sigma.shape
         return float(self.sigma[rows // 2, columns // 2])
 
     @property
-    def worst(self):
+    def worst(self) -> float:
         """px, the largest standard uncertainty of projection."""
         return float(np.nanmax(self.sigma))
 
 
-def calibrate_photographs(paths, board, name="cam0", progress=None):
+def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0",
+                          progress: Callable[[str, int, int], None] | None = None) -> Calibrated:
     """Calibrated from photographs (paths). progress : called with (label, done, of), or None.
 
     A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of another
@@ -89,7 +91,8 @@ def calibrate_photographs(paths, board, name="cam0", progress=None):
     return Calibrated(fit, models, tuple(paths[f] for f in observations.frames), left_out, observations, board, uv, sigma)
 
 
-def _models(observations, width, height, name, progress):
+def _models(observations: Observations, width: int, height: int, name: str,
+            progress: Callable[[str, int, int], None] | None) -> tuple[dict[int, Model], dict[int, Fit]]:
     """({terms: Model}, {terms: Fit}); all models are held to the corners that the richest that can be fitted keeps."""
     fits, models, reasons = {}, {}, {}
     for terms in MODELS:
@@ -116,7 +119,7 @@ def _models(observations, width, height, name, progress):
     return models, fits
 
 
-def _reason(view):
+def _reason(view: BoardView) -> str:
     if not len(view.corner) and not view.left_out:
         return "the board is not found in it"
     why = f"; {view.left_out[0][1]}" if view.left_out else ""

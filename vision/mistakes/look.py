@@ -10,8 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
-from rig.mistakes import Mistake, in_order
-from rig.mistakes import motion
+from rig.mistakes import Mistake, in_order, motion
 from rig.recording import Corners, Recording
 from vision.mistakes import cameras, targets
 from vision.mistakes import corners as order

@@ -1,1 +1,1 @@
-"""Corners -> one pose, robustly; and whose marker is it."""
+"""Corners -> one pose, robustly."""

@@ -1,12 +1,16 @@
 """Frame by frame: where the platform and every moving camera stand, as a start for adjusting all frames together."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from vision.pose.locate import View, locate, undistorted
+from rig.design import Camera
+from vision.observations import Observations
+from vision.pose.locate import Located, Unsolved, View, locate, undistorted
 from vision.pose.neighbours import astray, choose
+from vision.targets import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
 PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
@@ -22,23 +26,23 @@ class Frames:
     unsolved: dict[int, str]
     vouched: set[tuple[int, int]]
 
-    def all_poses(self, count):
+    def all_poses(self, count: int) -> RigidTransform:
         """RigidTransform (count,) of the platform, the identity where there is none."""
         return _filled(self.poses, count)
 
-    def all_moving(self, count):
+    def all_moving(self, count: int) -> dict[int, RigidTransform]:
         """{camera: RigidTransform (count,)}, the identity where there is none."""
         return {i: _filled(T, count) for i, T in self.moving.items()}
 
 
-def _filled(poses, count):
+def _filled(poses: dict[int, RigidTransform], count: int) -> RigidTransform:
     return RigidTransform.concatenate([poses.get(f, RigidTransform.identity()) for f in range(count)])
 
 
 class Views:
     """Views cut out of a recording's observations, the lens taken out of all of them once."""
 
-    def __init__(self, observations, cameras, marker_map, finest):
+    def __init__(self, observations: Observations, cameras: Sequence[Camera], marker_map: MarkerMap, finest: float) -> None:
         self.observations = observations.with_points(marker_map.corners[observations.marker, observations.corner])
         self.map, self.finest = marker_map, finest
         self.ideal, self.covariance = undistorted(observations.uv, observations.covariance, observations.camera, cameras)
@@ -46,7 +50,7 @@ class Views:
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
         self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
 
-    def locate(self, rows, T_camera_world, ideal=None):
+    def locate(self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None) -> Located | Unsolved:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
         o = self.observations
         ideal = self.ideal[rows] if ideal is None else ideal
@@ -54,7 +58,7 @@ class Views:
                            o.corner[rows], self.focal, T_camera_world), self.map, self.finest)
 
 
-def resect(views, cameras):
+def resect(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
     """{camera index: T_base_camera} of the fixed cameras, from the base's corners, the median over all frames of each."""
     o, found = views.observations, {}
     for i, camera in enumerate(cameras):
@@ -70,7 +74,7 @@ def resect(views, cameras):
     return found
 
 
-def related(views, cameras):
+def related(views: Views, cameras: Sequence[Camera]) -> dict[int, RigidTransform]:
     """{camera index: T_base_camera} of fixed cameras that see no base, from the body itself, which each locates by itself: where they stand to
     each other, the middle over the frames that they share with one of them, and all together where they are stated, in the mean.
 
@@ -100,7 +104,8 @@ def related(views, cameras):
     return {i: RigidTransform.from_components(shift, turn) * T for i, T in found.items()}
 
 
-def locate_frames(views, cameras, t=None, progress=None):
+def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None = None,
+                  progress: Callable[[int, int], None] | None = None) -> Frames:
     """Frames of all that can be located. t : (F,) s; with it, a sighting that stands alone is held against its neighbours in time.
 
     progress : called with (done, of), or None
@@ -140,7 +145,7 @@ def locate_frames(views, cameras, t=None, progress=None):
     return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
 
 
-def _decided(answers, t):
+def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[dict[int, RigidTransform], set[int], dict[int, str]]:
     """({frame: T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
     found = {f: answer.T_world_body.as_matrix() for f, answer in answers.items() if answer}
     why = {f: answer.reason for f, answer in answers.items() if not answer}

@@ -1,14 +1,17 @@
 """Corners of one body in one or several posed cameras -> its pose: consensus of single markers, then a robust refinement."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from rig.design import Camera
 from rig.pose import skew
 from vision import lens
-from vision.targets import SQUARE
+from vision.targets import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
 GATE = 5.0  # standard deviations; beyond, a corner is an outlier
@@ -58,11 +61,24 @@ class Unsolved:
     reason: str
     candidates: tuple = ()
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         return False
 
 
-def undistorted(uv, covariance, camera, cameras):
+_Sighting = tuple[int, int, np.ndarray]  # camera, marker, rows in corner order
+
+
+class _Refined(NamedTuple):
+    """matrix : (4, 4) T_world_body; covariance : (6, 6); inliers : (n,) bool; square : of whitened residuals, summed; scale : theirs, robust."""
+
+    matrix: np.ndarray
+    covariance: np.ndarray
+    inliers: np.ndarray
+    square: float
+    scale: float
+
+
+def undistorted(uv: np.ndarray, covariance: np.ndarray, camera: np.ndarray, cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
     """Ideal coordinates (n, 2) of pixels (n, 2) and their covariance (n, 2, 2), camera by camera. NaN beyond a lens."""
     ideal, out = np.empty_like(uv), np.empty_like(covariance)
     for i in np.unique(camera):
@@ -74,7 +90,7 @@ def undistorted(uv, covariance, camera, cameras):
     return ideal, out
 
 
-def locate(view, marker_map, finest=FINEST):
+def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located | Unsolved:
     """Pose of a body from all cameras, all markers and all corners at once; wrong identities, flips and outliers stand out.
 
     view : View; marker_map : MarkerMap, which says how each marker sits on the body; finest : px, residuals smaller than
@@ -113,7 +129,7 @@ def locate(view, marker_map, finest=FINEST):
     return located
 
 
-def _alone(view, matrices, distance, finest):
+def _alone(view: View, matrices: np.ndarray, distance: np.ndarray, finest: float) -> tuple[Located, ...]:
     """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ enough."""
     found = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
     found = sorted((one for one in found if one is not None), key=lambda one: one[3])
@@ -122,7 +138,7 @@ def _alone(view, matrices, distance, finest):
                  if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k]))
 
 
-def _sightings(view):
+def _sightings(view: View) -> list[_Sighting]:
     """(camera, marker, rows in corner order) of every marker seen with its four corners, largest image first."""
     order = np.lexsort((view.corner, view.marker, view.camera))
     key = (view.camera * 100_000 + view.marker)[order]
@@ -132,7 +148,7 @@ def _sightings(view):
     return [(int(view.camera[rows[0]]), int(view.marker[rows[0]]), rows) for rows in whole]
 
 
-def _candidates(view, sightings, marker_map):
+def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMap) -> tuple[np.ndarray, np.ndarray]:
     """Matrices (k, 4, 4) T_world_body from each sighting by itself, and their distances (k, n) px to every corner."""
     found = []
     for camera, marker, rows in sightings:
@@ -148,21 +164,21 @@ def _candidates(view, sightings, marker_map):
     return matrices, _distances(view, matrices)
 
 
-def _inverse(matrix):
+def _inverse(matrix: np.ndarray) -> np.ndarray:
     out = np.eye(4)
     out[:3, :3] = matrix[:3, :3].T
     out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
     return out
 
 
-def _ahead(view, matrices):
+def _ahead(view: View, matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (..., n, 3, 3) body to each corner's camera, and the corners there (..., n, 3) m."""
     to_camera = view.T_camera_world[view.camera] @ matrices[..., None, :, :]
     R = to_camera[..., :3, :3]
     return R, (R @ view.points[..., None])[..., 0] + to_camera[..., :3, 3]
 
 
-def _distances(view, matrices):
+def _distances(view: View, matrices: np.ndarray) -> np.ndarray:
     """(k, n) px between corners and where each pose puts them; infinite where the marker would face away."""
     R, ahead = _ahead(view, matrices)
     facing = np.einsum("knij,nj,kni->kn", R, view.normals, ahead) < 0
@@ -171,8 +187,8 @@ def _distances(view, matrices):
     return np.where(possible & np.isfinite(gap[..., 0]), np.linalg.norm(gap, axis=-1) * view.focal[view.camera], np.inf)
 
 
-def _refine(view, matrix, inliers, least):
-    """(matrix, covariance, inliers, whitened squares, scale) of a robust Gauss-Newton; None where it falls apart.
+def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -> _Refined | None:
+    """A robust Gauss-Newton; None where it falls apart.
 
     least : px, the robust scale's floor. Geman-McClure weights whose scale comes down with the residuals' own, then a plain fit of the inliers.
     """
@@ -210,10 +226,10 @@ def _refine(view, matrix, inliers, least):
     H = J[inliers].reshape(-1, 6).T @ J[inliers].reshape(-1, 6)
     if np.linalg.cond(H) > 1e14:
         return None
-    return matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale)
+    return _Refined(matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale))
 
 
-def _linearise(view, matrix, whitener):
+def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
     """Whitened residuals (n, 2) and Jacobian (n, 2, 6); None where a point falls behind its camera."""
     R, ahead = _ahead(view, matrix)
     if (ahead[:, 2] <= AHEAD).any():
@@ -227,7 +243,8 @@ def _linearise(view, matrix, whitener):
     return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
 
 
-def _rival(view, matrices, distance, matrix, square, scale, finest):
+def _rival(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
+           finest: float) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
     tried, free = [matrix], max(2 * len(view.points) - 6, 1)
@@ -246,7 +263,7 @@ def _rival(view, matrices, distance, matrix, square, scale, finest):
     return None
 
 
-def _apart(a, b):
+def _apart(a: np.ndarray, b: np.ndarray) -> float | None:
     """Angle (rad) between two poses that differ, None for two that are the same."""
     angle = np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
     far = np.linalg.norm(a[:3, 3] - b[:3, 3]) > SAME * max(np.linalg.norm(a[:3, 3]), 0.1)

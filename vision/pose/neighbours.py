@@ -1,5 +1,6 @@
 """A pose that its own image leaves in doubt, held against the frames before and after it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ LEAST = np.radians(2.0)  # whatever is closer to its neighbours than this is clo
 MOST = np.radians(45.0)  # neighbours that may miss by more say nothing
 ENOUGH = 10  # solved frames between neighbours from which it is told how well neighbours predict
 
+Poses = dict[int, np.ndarray]  # {frame: T_world_body (4, 4)}
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -22,7 +25,7 @@ class Reach:
     beside: float
 
 
-def choose(found, undecided, t):
+def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarray) -> Poses:
     """{frame: T_world_body} of frames whose pose their neighbours decide, as matrices.
 
     found : {frame: (4, 4)} solved; undecided : {frame: ((4, 4), ...)} candidates; t : (F,) s
@@ -47,7 +50,7 @@ def choose(found, undecided, t):
     return chosen
 
 
-def astray(found, t):
+def astray(found: Poses, t: np.ndarray) -> dict[int, str]:
     """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a flip."""
     reach, odd = reach_of(found, t), {}
     for f, T in found.items() if reach is not None else ():
@@ -58,7 +61,7 @@ def astray(found, t):
     return odd
 
 
-def reach_of(found, t):
+def reach_of(found: Poses, t: np.ndarray) -> Reach | None:
     """Reach that solved frames show of each other, or None where too few have neighbours."""
     between, beside = [], []
     for f, T in found.items():
@@ -71,7 +74,7 @@ def reach_of(found, t):
     return Reach(MARGIN * np.quantile(between, 0.9), MARGIN * np.quantile(beside, 0.9))
 
 
-def expect(found, f, t, reach):
+def expect(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarray | None, float]:
     """((4, 4), rad) expected of frame f from solved frames near it, and how far off it may be; (None, inf) where there are none."""
     before, after = _near(found, f, t)
     ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
@@ -81,14 +84,14 @@ def expect(found, f, t, reach):
     return found.get(nearest), max(LEAST, limit)
 
 
-def _near(found, f, t):
+def _near(found: Poses, f: int, t: np.ndarray) -> list[int | None]:
     """The nearest solved frames before and after f within FAR, None where there is none."""
     last = len(t) - 1
     return [next((k for k in range(f + way, min(max(f + way * AROUND, -1), last + 1), way) if k in found and abs(t[f] - t[k]) <= FAR), None)
             for way in (-1, 1)]
 
 
-def _between(found, before, after, f, t):
+def _between(found: Poses, before: int, after: int, f: int, t: np.ndarray) -> np.ndarray:
     """(4, 4) at frame f on an even way from one solved frame to another."""
     share, T_a, T_b = (t[f] - t[before]) / (t[after] - t[before]), found[before], found[after]
     turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).as_rotvec()
@@ -97,6 +100,6 @@ def _between(found, before, after, f, t):
     return out
 
 
-def angle(a, b):
+def angle(a: np.ndarray, b: np.ndarray) -> float:
     """rad between the rotations of two poses (4, 4)."""
     return float(np.arccos(np.clip((np.einsum("ij,ij", a[:3, :3], b[:3, :3]) - 1) / 2, -1, 1)))

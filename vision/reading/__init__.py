@@ -1,1 +1,1 @@
-"""Images of a recording -> its corners: read where markers ought to be, whole or while the recording grows."""
+"""Images of a recording -> its corners, whole or while it grows: read where markers ought to be; and whose marker each is."""

@@ -1,53 +1,79 @@
 """Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
 
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from rig.design import Camera, Design
 from rig.errors import FileError
 from rig.exposures import read_image, refused, undecodable
 from rig.processes import cores, gathered
-from rig.recording import Corners
-from vision.corners.detect import Read, detect, grey, place, search
+from rig.recording import Corners, Recording
+from vision.corners.detect import Detection, Read, detect, grey, place, search
 from vision.corners.spread import PLAIN, Spread, empty_profile, learn
+from vision.measure import Measurement
 from vision.observations import correlation_of
 from vision.predict import expected
 from vision.reading import expect
+from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
 FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
 
 
+Item, Result = TypeVar("Item"), TypeVar("Result")
+Found = tuple[int, str, Detection]  # frame number, camera name, what that image shows
+
+
+class Unplaced(NamedTuple):
+    """A marker that was read in an image and not placed. marker : identity; repeated : whether it is that the image shows it twice."""
+
+    frame: int
+    camera: str
+    marker: int
+    reason: str
+    repeated: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Collected:
     """Corners of all images; correlation : (n, 2, 8) of them, see Observations
-    left_out : (frame, camera, identity, reason) of markers read but not placed; spread : {camera: Spread} learnt from its images
+    left_out : markers read but not placed; spread : {camera: Spread} learnt from its images
     blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
 
     corners: Corners
     correlation: np.ndarray | None
-    left_out: list[tuple[int, str, int, str]]
+    left_out: list[Unplaced]
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
     spread: dict[str, Spread]
 
+    @property
+    def repeated(self) -> list[int]:
+        """Identities of markers that one image shows more than once, as often as there are such images."""
+        return _repeated(self.left_out)
 
-def image_reader(recording):
+
+def image_reader(recording: Recording) -> Callable[[int, str], np.ndarray | None]:
     """A function of (frame number, camera name) that gives that image, (height, width) uint8, or None where there is none."""
     e = recording.exposures
     names = {(int(frame), camera): name for frame, camera, name in zip(e.frame, e.camera, e.image) if name}
 
-    def read(frame, camera):
+    def read(frame: int, camera: str) -> np.ndarray | None:
         name = names.get((int(frame), camera))
         return None if name is None else grey(read_image(recording.folder / name))[0]
 
     return read
 
 
-def collect(recording, marker_map, progress=None):
+def collect(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None = None) -> Collected:
     """Collected from every image of a recording, see `_collected`. Raises FileError naming all images that cannot be decoded."""
     try:
         return _collected(recording, marker_map, progress)
@@ -58,7 +84,7 @@ def collect(recording, marker_map, progress=None):
         raise refused(bad) from None
 
 
-def _collected(recording, marker_map, progress):
+def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[int, int], None] | None) -> Collected:
     """Collected from every image of a recording. progress : called with (done, of), or None.
 
     Some images of each camera are searched whole: they teach how its edges look, and what to expect of the others. There only the
@@ -68,10 +94,11 @@ def _collected(recording, marker_map, progress):
     """
     e, design = recording.exposures, recording.design
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
-    tell, found = _counter(progress, len(work)), {}
+    tell = _counter(progress, len(work))
+    found: dict[int, Detection] = {}
     taught = sorted({k for camera in {camera.name for _, camera, _ in work} for k in _some([i for i, w in enumerate(work) if w[1].name == camera])})
 
-    def searched(k):
+    def searched(k: int) -> tuple[np.ndarray, Read]:
         _, camera, name = work[k]
         eight, full = grey(_image(recording, camera, name))
         return full, search(eight, marker_map)
@@ -80,7 +107,7 @@ def _collected(recording, marker_map, progress):
     spread = {camera.name: learn_spread([whole[k] for k in taught if work[k][1] is camera], camera, marker_map) for camera in
               {work[k][1].name: work[k][1] for k in taught}.values()}
 
-    def placed(k):
+    def placed(k: int) -> Detection:
         full, read = whole[k]
         return place(full, work[k][1], marker_map, read, spread[work[k][1].name])
 
@@ -88,9 +115,9 @@ def _collected(recording, marker_map, progress):
     whole.clear()
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
-    known = expect.taught(recording, *corners_of(rows), _left_out(rows), marker_map) if len(rest) > len(taught) else None
+    known = expect.taught(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
 
-    def one(k, T=None):
+    def one(k: int, T: RigidTransform | None = None) -> Detection:
         _, camera, name = work[k]
         adjusted = known.camera(camera.name) if known and T is not None else None
         image = _image(recording, camera, name)
@@ -99,14 +126,15 @@ def _collected(recording, marker_map, progress):
         return detect(image, adjusted, marker_map, spread[camera.name], T, doubtful=True)
 
     if known is None or known.commanded:
-        found.update(zip(rest, _in_parallel(lambda k: one(k, known and known.commanded.get(work[k][0])), rest, tell)))
+        commanded = known.commanded if known else {}
+        found.update(zip(rest, _in_parallel(lambda k: one(k, commanded.get(work[k][0])), rest, tell)))
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
     return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
 
 
-def _image(recording, camera, name):
+def _image(recording: Recording, camera: Camera, name: str) -> np.ndarray:
     image = read_image(recording.folder / name)
     if image.shape[:2] != (camera.height, camera.width):
         raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
@@ -114,42 +142,49 @@ def _image(recording, camera, name):
     return image
 
 
-def _some(indices):
+def _some(indices: list[int]) -> list[int]:
     """Those of a camera's images that teach."""
     return [indices[round(k)] for k in np.linspace(0, len(indices) - 1, min(LEARN_FROM, len(indices)))]
 
 
-def _one_after_the_other(work, rest, found, one, known, design, tell):
+def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], found: dict[int, Detection],
+                         one: Callable[[int, RigidTransform | None], Detection], known: expect.Expectation, design: Design,
+                         tell: Callable[..., None] | None) -> dict[int, Detection]:
     """{index: Detection} of images frame by frame, each expected where the frame before was."""
-    out, last = {}, None
+    out: dict[int, Detection] = {}
+    last: RigidTransform | None = None
     for frame in sorted({frame for frame, *_ in work}):
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
-        out.update(zip(fresh, _in_parallel(lambda k, T=last: one(k, T), fresh, tell)))
+        out.update(zip(fresh, _in_parallel(partial(one, T=last), fresh, tell)))
         last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
 
-def _counter(progress, total):
+def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[..., None] | None:
     """A progress that goes on counting where the one before has ended."""
     done = iter(range(1, total + 1))
     return (lambda *_: progress(next(done), total)) if progress else None
 
 
-def _left_out(rows):
-    return [(frame, name, number, reason) for frame, name, d in rows for number, reason in d.left_out]
+def _left_out(rows: Iterable[Found]) -> list[Unplaced]:
+    return [Unplaced(frame, name, *one) for frame, name, d in rows for one in d.left_out]
 
 
-def learn_spread(searched, camera, marker_map):
+def _repeated(left_out: Iterable[Unplaced]) -> list[int]:
+    return [one.marker for one in left_out if one.repeated]
+
+
+def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, marker_map: MarkerMap) -> Spread:
     """Spread of a camera's edges. searched : (image (height, width) in 255ths of white, Read from it) each"""
-    def first(item):
+    def first(item: tuple[np.ndarray, Read]) -> tuple[np.ndarray, Detection]:
         full, read = item
         return full, place(full, camera, marker_map, read)
 
     seen = [(full, d.read) for full, d in _in_parallel(first, searched, None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
-        def again(item, spread=spread):
+        def again(item: tuple[np.ndarray, Read], spread: Spread = spread) -> tuple[Detection, np.ndarray]:
             full, read = item
             profile = empty_profile()
             return place(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
@@ -161,7 +196,8 @@ def learn_spread(searched, camera, marker_map):
     return spread
 
 
-def look_again(recording, collected, measurement, marker_map, progress=None):
+def look_again(recording: Recording, collected: Collected, measurement: Measurement, marker_map: MarkerMap,
+               progress: Callable[[int, int], None] | None = None) -> Collected:
     """Collected with the markers added that ought to be seen, by the measured poses and cameras, and were not read.
 
     measurement : Measurement of the collected corners. A marker is added where its bits are read and it is found within
@@ -173,14 +209,14 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     work = []
     for i, name in enumerate(recording.exposures.image):
         frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
-        if not name or frame not in matrices or camera.mount == "moving":
+        if not name or camera is None or frame not in matrices or camera.mount == "moving":
             continue
         rows, places = expected(camera, matrices[frame], marker_map)
         fresh = [k for k, row in enumerate(rows) if (frame, camera.name, int(marker_map.id[row])) not in seen]
         if fresh:
             work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
 
-    def one(item):
+    def one(item: tuple[int, Camera, str, np.ndarray, np.ndarray]) -> Detection:
         frame, camera, name, numbers, places = item
         _, full = grey(read_image(recording.folder / name))
         return place(full, camera, marker_map, Read(numbers, places), collected.spread.get(camera.name, PLAIN), verify=True)
@@ -194,7 +230,7 @@ def look_again(recording, collected, measurement, marker_map, progress=None):
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
 
-def _in_parallel(one, work, progress):
+def _in_parallel(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # images are the parallel unit
     try:
@@ -204,7 +240,7 @@ def _in_parallel(one, work, progress):
         cv2.setNumThreads(threads)
 
 
-def corners_of(found):
+def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
     """(Corners, their correlation (n, 2, 8)) of (frame, camera name, Detection) rows."""
     sizes = [len(d.marker) for *_, d in found]
     covariance = np.concatenate([d.covariance for *_, d in found] or [np.zeros((0, 8, 8))])
@@ -217,11 +253,11 @@ def corners_of(found):
             correlation_of(covariance).reshape(-1, 2, 8))
 
 
-def _joined(a, b):
+def _joined(a: Corners, b: Corners) -> Corners:
     return Corners(np.r_[a.frame, b.frame], a.camera + b.camera, np.r_[a.marker, b.marker], np.r_[a.corner, b.corner],
                    np.concatenate([a.uv, b.uv]), np.concatenate([a.covariance, b.covariance]))
 
 
-def _by_camera(rows, what):
+def _by_camera(rows: Sequence[Found], what: str) -> dict[str, np.ndarray]:
     names = list(dict.fromkeys(name for _, name, _ in rows))
     return {name: np.concatenate([getattr(d, what) for _, other, d in rows if other == name]) for name in names}

@@ -1,20 +1,22 @@
 """Where markers ought to be in images not yet read: cameras as some frames have taught them, poses from the command or the frame before."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
-from rig.design import Camera
+from rig.design import Camera, Design
 from rig.errors import NotConverged, NotEnoughData
 from rig.pose import difference, exp
-from vision.measure import measure
+from rig.recording import Corners, Recording
+from vision.measure import Measurement, measure
 from vision.observations import from_corners
 from vision.pose.frames import Views, locate_frames
-from vision.pose.identity import suspects
 from vision.pose.locate import FINEST
 from vision.predict import State, predict
+from vision.reading.identity import suspects
 from vision.targets import MarkerMap
 
 NEAR = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following: half of what detect.py looks over
@@ -30,24 +32,24 @@ class Expectation:
     markers: MarkerMap
     commanded: dict[int, RigidTransform]
 
-    def camera(self, name):
+    def camera(self, name: str) -> Camera | None:
         """The camera of that name, or None for one that moves: where it stands is not known before its image is read."""
         return next((camera for camera in self.cameras if camera.name == name and camera.mount != "moving"), None)
 
-    def locate(self, corners, frame, design):
+    def locate(self, corners: Corners, frame: int, design: Design) -> RigidTransform | None:
         """T_base_platform of a frame from its Corners alone, or None."""
         observations = from_corners(corners, np.array([frame]), design, self.markers)
         return locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses.get(0) if len(observations) else None
 
 
-def taught(recording, corners, correlation, left_out, markers):
+def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap) -> Expectation | None:
     """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
 
-    corners, correlation : Corners and (n, 2, 8); left_out : (frame, camera, identity, reason) of those images
+    corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
     What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image.
     """
     frames, design = np.unique(corners.frame), recording.design
-    if len(frames) < LEAST or any(reason.startswith("seen ") for *_, reason in left_out):
+    if len(frames) < LEAST or len(repeated):
         return None
     try:
         m = measure(from_corners(corners, frames, design, markers, correlation), design, markers)
@@ -58,7 +60,7 @@ def taught(recording, corners, correlation, left_out, markers):
     return Expectation(m.design.cameras, markers, _commanded(recording, m, frames))
 
 
-def _commanded(recording, m, frames):
+def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict[int, RigidTransform]:
     """{frame: pose} that the commands say, brought to the frames measured; empty where that is not where the platform is seen."""
     if recording.commands is None or recording.design.mechanism.kind != "hexapod":
         return {}

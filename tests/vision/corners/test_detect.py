@@ -124,7 +124,7 @@ def test_an_identity_seen_twice_is_not_averaged(design):
     image = np.full((2 * SIZE, 2 * SIZE), 70.0)
     image[:SIZE, :SIZE], image[SIZE:, SIZE:] = one, two
     found = detect(image.astype(np.uint8), wide, sheet(design))
-    assert not len(found.marker) and found.left_out == ((4, "seen 2 times in one image"),)
+    assert not len(found.marker) and found.left_out == ((4, "seen 2 times in one image", True),)
 
 
 @pytest.mark.parametrize("form", ["colour", "16 bit", "alpha", "12 in 16 bit"])

@@ -10,12 +10,12 @@ from rig import mechanisms
 from rig.design import Marker, Target
 from rig.pose import difference, exp
 from rig.recording import Commands, Exposures, Recording
-from tests.vision.pose.test_identity import printed
+from tests.vision.reading.test_identity import printed
 from vision.corners import detect
-from vision.pose.identity import suspects
 from vision.reading import collect as collecting
 from vision.reading import expect
 from vision.reading.collect import LEARN_FROM, collect
+from vision.reading.identity import suspects
 from vision.recorded import measure_recording
 from vision.targets import marker_map
 
@@ -134,7 +134,7 @@ def test_what_is_not_as_stated_is_still_found_and_named(drawn, searches, tmp_pat
     assert len(searches) == FRAMES  # each of them: the teaching ones, and those where something is not where it should be
     from vision.reading.collect import image_reader
 
-    named = {(s.marker, s.kind, s.other) for s in suspects(m, markers, collected, image_reader(spoilt))}
+    named = {(s.marker, s.kind, s.other) for s in suspects(m, markers, collected.repeated, image_reader(spoilt))}
     wanted = {(a, "exchanged", b), (b, "exchanged", a)} if case == "two faces exchanged" else {(a, "other", 97)}
     assert wanted <= named and collected.left_out == []
     assert np.abs(difference(m.T_base_platform, T[m.frames])[:, :3]).max() < 5e-4

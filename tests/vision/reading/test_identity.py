@@ -10,18 +10,18 @@ from rig.effects.marker_swap import MarkerSwap
 from rig.pose import difference
 from tests.vision.scenes import nees, scene
 from vision.measure import measure
-from vision.pose.identity import Suspect, suspects, why_none
 from vision.predict import expected
-from vision.reading.collect import Collected
+from vision.reading.collect import Collected, Unplaced
+from vision.reading.identity import Suspect, suspects, why_none
 from vision.targets import marker_cells, marker_map
 
 
-def spoilt(design, spoil=None, collected=None, read=None, frames=12):
+def spoilt(design, spoil=None, repeated=(), read=None, frames=12):
     """(suspects, NEES of the poses) of a recording whose corners were spoilt."""
     observations, stated, _, T = scene(design, 4, frames, spoil=spoil)
     m = measure(observations, stated, marker_map(design))
     assert len(m.frames) == frames
-    return suspects(m, marker_map(design), collected, read), nees(difference(m.T_base_platform, T), m.covariance).mean()
+    return suspects(m, marker_map(design), repeated, read), nees(difference(m.T_base_platform, T), m.covariance).mean()
 
 
 def relabelled(change):
@@ -101,8 +101,9 @@ def test_a_face_askew_is_reported_without_a_name(design):
 
 def test_what_was_seen_twice_in_an_image_is_reported(design):
     a = seen_often(design)[0]
-    collected = Collected(None, None, [(0, "cam1", a, "seen 2 times in one image"), (1, "cam1", 999, "too small")], {}, {}, {})
-    assert spoilt(design, collected=collected)[0] == (Suspect(a, "twice", -1, 0, 1, 1),)
+    left_out = [Unplaced(0, "cam1", a, "seen 2 times in one image", True), Unplaced(1, "cam1", 999, "too small", False)]
+    collected = Collected(None, None, left_out, {}, {}, {})
+    assert spoilt(design, repeated=collected.repeated)[0] == (Suspect(a, "twice", -1, 0, 1, 1),)
 
 
 def printed(camera, T, markers, as_another):
@@ -128,9 +129,9 @@ def test_an_identity_that_rig_toml_lacks_is_seen_in_its_place(design):
     def read(frame, name):
         return printed(cameras[name], T[frame], markers, {a: 97})
 
-    found = suspects(m, markers, None, read)
+    found = suspects(m, markers, (), read)
     assert [(s.marker, s.kind, s.other) for s in found if s.marker == a] == [(a, "other", 97)]
-    assert "marker 97 is in its place" in str(found[0]) and suspects(m, markers, None, lambda *_: None) == ()
+    assert "marker 97 is in its place" in str(found[0]) and suspects(m, markers, (), lambda *_: None) == ()
 
 
 @pytest.mark.parametrize("case", ["as stated", "another dictionary", "mirrored", "other identities", "nothing"])

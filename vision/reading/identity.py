@@ -5,13 +5,16 @@ mirrored: a marker that is mostly seen where something else should be is that. N
 """
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from vision.corners.detect import dictionary_reader
+from vision.measure import Measurement
 from vision.predict import Sightings, expected, facing, see
+from vision.targets import MarkerMap
 
 LEAST = 3  # sightings from which anything is said of a marker
 MOSTLY = 0.5  # share of a marker's sightings that are set aside, from which it is reported whatever it looks like
@@ -23,6 +26,9 @@ _TURNS = np.array([[(k + q) % 4 for k in range(4)] for q in range(4)])
 _ORDERS = np.concatenate([_TURNS, _TURNS[:, ::-1]])  # (8, 4): turned by so many quarters; then mirrored as well
 _FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
              "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12")
+
+
+ReadImage = Callable[[int, str], np.ndarray | None]  # see `suspects`
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +47,7 @@ class Suspect:
     like: int
     of: int
 
-    def __str__(self):
+    def __str__(self) -> str:
         quarters = f"turned by {self.turn} quarter{'s' * (self.turn > 1)} counter-clockwise"
         turned = f", {quarters}" if self.turn else ""
         share = f" in {self.like} of {self.of} sightings"
@@ -56,15 +62,14 @@ class Suspect:
         }[self.kind]
 
 
-def suspects(measurement, marker_map, collected=None, read=None):
+def suspects(measurement: Measurement, marker_map: MarkerMap, repeated: Iterable[int] = (), read: ReadImage | None = None) -> tuple[Suspect, ...]:
     """Suspects of a Measurement, one for each marker that is not what the rig's description says, in the map's order.
 
-    collected : Collected from images, or None; read : called with (frame number, camera name), returns that image, None where
-    there is none; without it markers that are never seen are not looked for
+    repeated : identities that one image shows more than once, as often as there are such images; read : called with (frame number, camera
+    name), returns that image, None where there is none; without it markers that are never seen are not looked for
     """
     found = _misplaced(measurement, marker_map)
-    twice = Counter(number for _, _, number, reason in collected.left_out if reason.startswith("seen ")) if collected else {}
-    found.update({number: Suspect(number, "twice", -1, 0, count, count) for number, count in twice.items() if number not in found})
+    found.update({number: Suspect(number, "twice", -1, 0, count, count) for number, count in Counter(repeated).items() if number not in found})
     if read:
         found.update(_usurped(measurement, marker_map, read))
     pairs = {k: s.other for k, s in found.items() if s.kind == "elsewhere"}
@@ -74,7 +79,7 @@ def suspects(measurement, marker_map, collected=None, read=None):
     return tuple(found[number] for number in marker_map.id.tolist() if number in found)
 
 
-def _misplaced(m, marker_map):
+def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:
     """{identity: Suspect} of markers whose sightings were set aside, by what they look like."""
     o, found = m.observations, {}
     solved = np.full(len(o.frames), -1)
@@ -103,7 +108,7 @@ def _misplaced(m, marker_map):
     return found
 
 
-def _look(m, marker_map, marker, camera, frame, quad):
+def _look(m: Measurement, marker_map: MarkerMap, marker: int, camera: int, frame: int, quad: np.ndarray) -> tuple[str, int, int] | None:
     """(kind, other identity, turn) of the place that a quad (4, 2) px of a marker is in, or None."""
     count = len(marker_map.id)
     places = see(Sightings(np.full(count, frame), np.full(count, camera), np.arange(count)), m.adjustment.state, marker_map)
@@ -120,7 +125,7 @@ def _look(m, marker_map, marker, camera, frame, quad):
     return ("turned", -1, turn) if order < 4 else ("mirrored", -1, 0)
 
 
-def _usurped(m, marker_map, read):
+def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int, Suspect]:
     """{identity: Suspect} of markers that are never seen, though they should be, because another is in their place."""
     o, found = m.observations, {}
     missing = np.setdiff1d(np.arange(len(marker_map.id)), o.marker)
@@ -144,7 +149,7 @@ def _usurped(m, marker_map, read):
     return found
 
 
-def _reads_at(image, place, name):
+def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
     """Identity that is read in an image at a place (4, 2) px, turned or not, or None."""
     corners, ids, _ = dictionary_reader(name).detectMarkers(image)
     side = np.linalg.norm(place - np.roll(place, 1, axis=0), axis=1).mean()
@@ -154,7 +159,7 @@ def _reads_at(image, place, name):
     return None
 
 
-def why_none(images, marker_map):
+def why_none(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
     """Why no marker of a rig was found in images [(height, width) uint8]: of another dictionary, mirrored. "" where nothing is told."""
     stated = sorted(set(marker_map.dictionary))
     for name in stated:
@@ -172,10 +177,10 @@ def why_none(images, marker_map):
     return ""
 
 
-def _numbers(image, name):
+def _numbers(image: np.ndarray, name: str) -> list[int]:
     ids = dictionary_reader(name).detectMarkers(image)[1]
     return [] if ids is None else ids.ravel().tolist()
 
 
-def _count(image, name, wanted):
+def _count(image: np.ndarray, name: str, wanted: np.ndarray) -> int:
     return int(np.isin(_numbers(image, name), wanted).sum())
