@@ -98,10 +98,11 @@ def _markers(picture: np.ndarray, m: Measurement, i: int, enlarge: float) -> Non
         quad = o.uv[rows][np.argsort(o.corner[rows])]
         colour = FOUND if m.inliers[rows].all() else ASIDE
         cv2.polylines(picture, [_fixed(quad)], True, colour, 1, cv2.LINE_AA, SHIFT)
-        cv2.circle(picture, _fixed(quad[0]), 3 << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
-        cv2.putText(picture, str(ids[marker]), tuple(np.int32(quad.mean(axis=0))), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+        cv2.circle(picture, _point(quad[0]), 3 << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
+        middle = quad.mean(axis=0).astype(np.int32).tolist()
+        cv2.putText(picture, str(ids[marker]), middle, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
     for k in np.flatnonzero((o.camera == i) & m.inliers):
-        cv2.line(picture, _fixed(o.uv[k]), _fixed(o.uv[k] + enlarge * m.residuals[k]), ARROW, 1, cv2.LINE_AA, SHIFT)
+        cv2.line(picture, _point(o.uv[k]), _point(o.uv[k] + enlarge * m.residuals[k]), ARROW, 1, cv2.LINE_AA, SHIFT)
 
 
 def _axes(picture: np.ndarray, camera: Camera, m: Measurement) -> None:
@@ -114,10 +115,15 @@ def _axes(picture: np.ndarray, camera: Camera, m: Measurement) -> None:
             continue
         uv = lens.project(ahead, camera.matrix, camera.distortion)
         for axis in range(3):
-            cv2.arrowedLine(picture, _fixed(uv[0]), _fixed(uv[1 + axis]), AXES[axis], 2, cv2.LINE_AA, SHIFT, 0.1)
+            cv2.arrowedLine(picture, _point(uv[0]), _point(uv[1 + axis]), AXES[axis], 2, cv2.LINE_AA, SHIFT, 0.1)
 
 
 def _fixed(points: np.ndarray) -> np.ndarray:
     """Pixels as the fixed-point integers that OpenCV draws to fractions of a pixel."""
-    whole = np.clip(np.rint(np.asarray(points) * (1 << SHIFT)), -(1 << 28), 1 << 28).astype(np.int32)
-    return whole if whole.ndim > 1 else tuple(whole.tolist())
+    return np.clip(np.rint(np.asarray(points) * (1 << SHIFT)), -(1 << 28), 1 << 28).astype(np.int32)
+
+
+def _point(point: np.ndarray) -> tuple[int, int]:
+    """One pixel (2,) so."""
+    u, v = _fixed(point).tolist()
+    return u, v

@@ -70,7 +70,7 @@ class Measurement:
         """recording.Corners of all observations, with covariance."""
         o, ids = self.observations, self.ids()
         names = [camera.name for camera in self.design.cameras]
-        return Corners(o.frames[o.frame], [names[i] for i in o.camera], [ids[i] for i in o.marker], o.corner, o.uv, o.covariance)
+        return Corners(o.frames[o.frame], [names[i] for i in o.camera], np.array(ids, int)[o.marker], o.corner, o.uv, o.covariance)
 
 
 def measure(observations: Observations, design: Design, marker_map: MarkerMap, free: Sequence[str] = ("poses", "lenses"),
@@ -99,7 +99,7 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
         fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0,
                               progress and partial(progress, "adjusting"))
         covariance = fit.covariance
-        cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.markers
+        cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
     kept, good = only(observations, solved), fit.inliers[keep]

@@ -106,9 +106,9 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
     """(m, 4, 2, 8) Observations.correlation of m markers' corners whose covariances are (m, 8, 8) px^2."""
     m = len(covariance)
     blocks = np.linalg.inv(np.linalg.cholesky(np.stack([covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)], axis=1)))
-    whiten = np.zeros((m, 4, 2, 4, 2))
-    whiten[:, range(4), :, range(4)] = np.swapaxes(blocks, 0, 1)
-    whiten = whiten.reshape(m, 8, 8)
+    own = np.zeros((m, 4, 2, 4, 2))
+    own[:, range(4), :, range(4)] = np.swapaxes(blocks, 0, 1)
+    whiten = own.reshape(m, 8, 8)
     return (whiten @ covariance @ np.swapaxes(whiten, 1, 2)).reshape(m, 4, 2, 8)
 
 
@@ -125,7 +125,7 @@ def from_corners(corners: Corners, frames: np.ndarray, design: Design, marker_ma
     order = np.lexsort((corners.corner, marker, frame, camera))
     covariance = corners.covariance
     stated = covariance is not None
-    if not stated:
+    if covariance is None:
         covariance = np.broadcast_to(UNSTATED_SIGMA**2 * np.eye(2), (len(frame), 2, 2))
     marker, corner = marker[order], corners.corner[order]
     return Observations(frames, frame[order], camera[order], marker, corner, corners.uv[order], covariance[order],

@@ -34,6 +34,13 @@ class State:
     moving: dict[int, RigidTransform]
     markers: MarkerMap | None = None
 
+    @property
+    def placed(self) -> MarkerMap:
+        """Its markers. Raises ValueError for a state that has none."""
+        if self.markers is None:
+            raise ValueError("expected a state that has its markers, got one that leaves them to the observations")
+        return self.markers
+
     def at(self, frames: np.ndarray) -> State:
         """The same with only the frames of an index or mask (F,)."""
         return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)

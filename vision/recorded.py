@@ -82,8 +82,9 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
     freed = measure(observed, design, markers, loose, progress, t)
     if contradicted and not any(move.moved for move in moves(freed.adjustment)):  # it was the cameras that were not where they are stated
         freed = measure(observed, design, markers, free, progress, t, freed.design.cameras)
-    better = measured is None or len(freed.frames) > len(measured.frames) or freed.noise < HALVED * measured.noise
-    return freed if better else measured
+    if measured is None or len(freed.frames) > len(measured.frames) or freed.noise < HALVED * measured.noise:
+        return freed
+    return measured
 
 
 def refused(measured: Measurement) -> list[int]:
@@ -104,5 +105,5 @@ def _why_none(recording: Recording, found: Collected, markers: MarkerMap) -> str
     if found.left_out:
         return f"{len(images)} images that could be placed: " + "; ".join(sorted({one.reason for one in found.left_out})[:5])
     read, some = image_reader(recording), {round(k) for k in np.linspace(0, len(images) - 1, min(2 * LOOKED_AT, len(images)))}
-    why = why_none([read(*images[k]) for k in sorted(some)], markers)
+    why = why_none([image for k in sorted(some) if (image := read(*images[k])) is not None], markers)
     return f"{len(images)} images" + (f"; of {len(some)} that were looked at again, {why}" if why else "")

@@ -45,8 +45,10 @@ def markers(target: Target) -> tuple[Marker, ...]:
     """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z."""
     if target.listed:
         return target.listed
-    margin = (target.edge - target.marker) / 2
-    return tuple(Marker(number, target.marker, target.pose * face_pose(face, target.edge), margin) for face, number in target.faces)
+    edge, side = target.edge, target.marker
+    if edge is None or side is None:
+        raise ValueError(f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with {edge} and {side}")
+    return tuple(Marker(number, side, target.pose * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
 
 
 def face_pose(face: str, edge: float) -> RigidTransform:

@@ -76,7 +76,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     W = whitener(observations)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
-    damping, cost, blocks = 0.0, None, None
+    damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
             residual, derivatives = linearise(observations, estimate, u, W)

@@ -1,6 +1,7 @@
 """Frames held out of an adjustment: are their residuals as large as its covariance says they should be?"""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class NotHeldOut:
 
     reason: str
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:
         return False
 
 

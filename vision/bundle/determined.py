@@ -58,8 +58,8 @@ def determined(adjustment: Adjustment) -> Determined:
     sigma = np.sqrt(np.diag(adjustment.shared_covariance))
     known = sigma > 1e-9 * worth
     correlation = adjustment.shared_covariance / np.outer(np.where(known, sigma, 1), np.where(known, sigma, 1))
-    pairs = np.argwhere(np.triu(np.abs(correlation) > ENTANGLED, 1) & known & known[:, None])
-    pairs = sorted(pairs.tolist(), key=lambda ij: -abs(correlation[ij[0], ij[1]]))
+    alike = np.argwhere(np.triu(np.abs(correlation) > ENTANGLED, 1) & known & known[:, None])
+    pairs = sorted(alike.tolist(), key=lambda ij: -abs(correlation[ij[0], ij[1]]))
     return Determined(len(names), tuple(weak), tuple((names[i], names[j], float(correlation[i, j])) for i, j in pairs), _held(adjustment, u))
 
 

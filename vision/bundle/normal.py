@@ -49,7 +49,7 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
     if unknowns.markers:
-        R_marker, in_marker = state.markers.T_body_marker.rotation.as_matrix(), state.markers.side[:, None, None] * SQUARE
+        R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.side[:, None, None] * SQUARE
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
     residual, found = np.empty((len(observations), 2)), {}
@@ -59,7 +59,7 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         whitened = own @ (observations.uv[rows] - uv)[..., None]
         J_base = own @ J_base
         J_body = np.where(on, J_base @ R_platform[frame], J_base)
-        local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [range(6)]
+        local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [np.arange(6)]
         shared, columns = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)]
         if i in unknowns.local_poses or i in unknowns.poses:
             if i in unknowns.local_poses:
@@ -77,14 +77,14 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.targets:
             shared.append(moved(J_body @ turns[marker], arms[marker, corner]))
-            names = state.markers.target[:markers]
+            names = state.placed.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
-        columns = np.concatenate(columns, axis=1)
-        local, shared = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[columns[marker]][:, None]
-        count = local.shape[2]
-        mixed = whitener.mix(np.concatenate([local, shared, whitened], axis=-1), rows)
+        every = np.concatenate(columns, axis=1)
+        mine, common = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[every[marker]][:, None]
+        count = mine.shape[2]
+        mixed = whitener.mix(np.concatenate([mine, common, whitened], axis=-1), rows)
         residual[rows] = mixed[..., -1]
-        found[i] = Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], columns, steady)
+        found[i] = Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], every, steady)
     return residual, found
 
 
@@ -94,7 +94,7 @@ def _range(columns: slice) -> np.ndarray:
 
 def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Corners (m, 4, 3) m along each target's own axes, about its middle, and those axes (m, 3, 3) in the body."""
-    markers = estimate.state.markers
+    markers = estimate.state.placed
     shift = shifts(estimate, unknowns)
     middle = np.array([unknowns.middles.get(name, np.zeros(3)) for name in markers.target])
     turns = shift.rotation.as_matrix()

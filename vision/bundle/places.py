@@ -1,9 +1,11 @@
 """Which markers and targets sit off their stated places, by how much, and what that did to the residuals."""
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy import stats
+from scipy.spatial.transform import RigidTransform
 
 from rig.design import Marker
 from rig.pose import log
@@ -18,6 +20,28 @@ from vision.targets import MarkerMap
 HALVED = 0.5  # of the corners' scatter; stated places are doubted where markers that may move leave less than this
 PROOF = 0.999  # probability with which an unmoved marker stays unmentioned
 WIDE = 1.96  # standard deviations on either side of a 95 % interval
+
+
+class Measured(Protocol):
+    """What is asked here of a vision.measure.Measurement, which stands above.
+
+    frames : (f,) numbers of the solved frames; T_base_platform : RigidTransform (f,); observations : of all frames
+    """
+
+    @property
+    def frames(self) -> np.ndarray: ...
+
+    @property
+    def T_base_platform(self) -> RigidTransform: ...
+
+    @property
+    def observations(self) -> Observations: ...
+
+    @property
+    def adjustment(self) -> Adjustment: ...
+
+    def used(self) -> Observations:
+        """Observations that were adjusted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +71,7 @@ class Places:
     odd: dict[int, float]
 
 
-def places(measurement, t: np.ndarray) -> Places:
+def places(measurement: Measured, t: np.ndarray) -> Places:
     """Places of a Measurement whose markers were free. t : (F,) s of all frames of the recording."""
     m, a = measurement, measurement.adjustment
     solved = np.searchsorted(m.observations.frames, m.frames)
@@ -61,7 +85,7 @@ def places(measurement, t: np.ndarray) -> Places:
                   weighted, _odd(m, t[solved]))
 
 
-def doubtful(measurement, markers: MarkerMap) -> bool:
+def doubtful(measurement: Measured, markers: MarkerMap) -> bool:
     """Whether the stated places of the markers are what most of the corners' scatter comes from: what one linear step with all of them free
     promises to take away. markers : MarkerMap as stated"""
     a, kept = measurement.adjustment, measurement.used()
@@ -76,10 +100,10 @@ def doubtful(measurement, markers: MarkerMap) -> bool:
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)
 
 
-def listed(measurement) -> dict[str, tuple[Marker, ...]]:
+def listed(measurement: Measured) -> dict[str, tuple[Marker, ...]]:
     """{target name: (Marker, ...)} as adjusted."""
-    m = measurement.adjustment.state.markers
-    out = {}
+    m = measurement.adjustment.state.placed
+    out: dict[str, list[Marker]] = {}
     for row, name in enumerate(m.target):
         out.setdefault(name, []).append(Marker(int(m.id[row]), float(m.side[row]), m.T_body_marker[row], float(m.margin[row])))
     return {name: tuple(rows) for name, rows in out.items()}
@@ -88,8 +112,8 @@ def listed(measurement) -> dict[str, tuple[Marker, ...]]:
 def moves(a: Adjustment) -> tuple[Move, ...]:
     """(Move, ...) of the markers that an Adjustment left free."""
     u, out = a.unknowns, []
-    moved = log(a.stated.markers.T_body_marker.inv() * a.state.markers.T_body_marker)
-    ids = a.state.markers.id
+    moved = log(a.stated.placed.T_body_marker.inv() * a.state.placed.T_body_marker)
+    ids = a.state.placed.id
     for row, columns in u.markers.items():
         by = moved[row]
         C = a.shared_covariance[columns, columns]
@@ -109,12 +133,14 @@ def _by_frame(observations: Observations, state: State, count: int) -> np.ndarra
     return np.sqrt(np.bincount(frame, weights=square[on], minlength=count) / (2 * np.bincount(frame, minlength=count)))
 
 
-def _odd(m, t: np.ndarray) -> dict[int, float]:
+def _odd(m: Measured, t: np.ndarray) -> dict[int, float]:
     """{frame number: degrees} of solved frames whose platform turns against those around it by more than these predict."""
     found = dict(enumerate(m.T_base_platform.as_matrix()))
     reach = reach_of(found, t)
-    out = {}
-    for f, T in found.items() if reach is not None else ():
+    out: dict[int, float] = {}
+    if reach is None:
+        return out
+    for f, T in found.items():
         expected, limit = expect(found, f, t, reach)
         if expected is not None and limit < MOST and angle(expected, T) > max(2 * limit, MOST):
             out[int(m.frames[f])] = float(np.degrees(angle(expected, T)))

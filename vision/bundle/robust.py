@@ -66,7 +66,7 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
             solved, inliers = np.delete(solved, list(weak)), None
             continue
-        if inliers is not None and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT)):
+        if inliers is not None and result is not None and (rounds >= ROUNDS or ((good == inliers).all() and gate < TIGHT)):
             break
         inliers, rounds = good, rounds + 1
         if progress:
@@ -192,7 +192,7 @@ def _unsupported(observations: Observations, inliers: np.ndarray, state: State, 
         key = (observations.frame[rows] * len(state.cameras) + observations.camera[rows]) * markers + observations.marker[rows]
         keys, count = np.unique(key, return_counts=True)
         sightings = np.bincount(keys[count >= 3] // markers // len(state.cameras), minlength=len(observations.frames))
-        for f in np.flatnonzero(sightings < 2):
+        for f in np.flatnonzero(sightings < 2).tolist():
             if sightings[f] and (f, body) in vouched:
                 continue
             weak[f] = f"only {sightings[f]} sightings of {what} agree with the other frames"

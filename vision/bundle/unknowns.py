@@ -109,12 +109,12 @@ def unknowns(observations: Observations, state: State, stated: State, free: Sequ
     markers, targets, middles = {}, {}, {}
     if "markers" in free:
         for row in rows.tolist():
-            markers[row] = add(6, _place_prior(state.markers.side[row]), 1.0, [(f"marker {state.markers.id[row]}", part) for part in PARTS])
+            markers[row] = add(6, _place_prior(state.placed.side[row]), 1.0, [(f"marker {state.placed.id[row]}", part) for part in PARTS])
     if "targets" in free:
-        for name in dict.fromkeys(state.markers.target[row] for row in rows):
-            own = np.flatnonzero([target == name for target in state.markers.target])
-            middles[name] = stated.markers.T_body_marker.translation[own].mean(axis=0)
-            targets[name] = add(6, _place_prior(state.markers.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS])
+        for name in dict.fromkeys(state.placed.target[row] for row in rows):
+            own = np.flatnonzero([target == name for target in state.placed.target])
+            middles[name] = stated.placed.T_body_marker.translation[own].mean(axis=0)
+            targets[name] = add(6, _place_prior(state.placed.side[own].mean()), 1.0, [(f"target {name}", part) for part in PARTS])
     used = np.zeros((len(observations.frames), local), bool)
     used[np.unique(observations.frame[observations.on_platform]), :6] = True
     for i, columns in local_poses.items():
@@ -122,7 +122,7 @@ def unknowns(observations: Observations, state: State, stated: State, free: Sequ
     found = Unknowns(poses, lenses, markers, targets, local_poses, len(scale), local, used, np.array(scale), np.array(prior), names,
                      np.eye(len(scale)), middles, rows)
     found = replace(found, basis=_basis(observations, state, found))
-    start = Estimate(state, None, {name: _motion_of(name, state.markers, stated.markers, found) for name in targets})
+    start = Estimate(state, None, {name: _motion_of(name, state.placed, stated.placed, found) for name in targets})
     return found, replace(start, marker_moves=_marker_moves(start, stated, found)) if markers else start
 
 
@@ -144,8 +144,8 @@ def _motion_of(name: str, markers: MarkerMap, stated: MarkerMap, unknowns: Unkno
 
 def _marker_moves(estimate: Estimate, stated: State, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what moved each marker beyond its target's own motion; nothing where the marker is held."""
-    own = stated.markers.T_body_marker.inv() * shifts(estimate, unknowns).inv() * estimate.state.markers.T_body_marker
-    held = np.array([row not in unknowns.markers for row in range(len(estimate.state.markers.id))])
+    own = stated.placed.T_body_marker.inv() * shifts(estimate, unknowns).inv() * estimate.state.placed.T_body_marker
+    held = np.array([row not in unknowns.markers for row in range(len(estimate.state.placed.id))])
     return RigidTransform.from_matrix(np.where(held[:, None, None], np.eye(4), own.as_matrix()))
 
 
@@ -165,7 +165,7 @@ def _basis(observations: Observations, state: State, unknowns: Unknowns) -> np.n
         rows.append(held)
     seen = unknowns.seen
     if unknowns.markers or unknowns.targets:
-        m = state.markers
+        m = state.placed
         target = np.array(m.target)
         for on in (False, True):
             body = seen[m.on_platform[seen] == on]
@@ -222,20 +222,20 @@ def move(estimate: Estimate, unknowns: Unknowns, shared: np.ndarray, local: np.n
         for name, columns in unknowns.targets.items():
             target_moves[name] = target_moves[name] * exp(step[columns])
         after = shifts(replace(estimate, target_moves=target_moves), unknowns)
-        own = np.zeros((len(markers.id), 6))
+        own = np.zeros((len(state.placed.id), 6))
         for row, columns in unknowns.markers.items():
             own[row] = step[columns]
         marker_moves = marker_moves * exp(own) if marker_moves is not None else None
-        T = after * before.inv() * markers.T_body_marker * exp(own)
-        markers = replace(markers, T_body_marker=T)
+        T = after * before.inv() * state.placed.T_body_marker * exp(own)
+        markers = replace(state.placed, T_body_marker=T)
     return Estimate(State(tuple(cameras), state.platform * exp(local[:, :6] * POSE_SCALE), moving, markers), marker_moves, target_moves)
 
 
 def shifts(estimate: Estimate, unknowns: Unknowns) -> RigidTransform:
     """RigidTransform (m,), what its target's motion does to each marker, in the body's frame."""
-    matrices = np.tile(np.eye(4), (len(estimate.state.markers.id), 1, 1))
+    matrices = np.tile(np.eye(4), (len(estimate.state.placed.id), 1, 1))
     for name, T in estimate.target_moves.items():
-        own = np.array([target == name for target in estimate.state.markers.target])
+        own = np.array([target == name for target in estimate.state.placed.target])
         middle = RigidTransform.from_translation(unknowns.middles[name])
         matrices[own] = (middle * T * middle.inv()).as_matrix()
     return RigidTransform.from_matrix(matrices)
@@ -267,22 +267,22 @@ def to_datums(estimate: Estimate, stated: State, unknowns: Unknowns) -> Estimate
     if not (unknowns.markers or unknowns.targets):
         return estimate
     state, D = estimate.state, {}
-    on_platform, T = state.markers.on_platform, state.markers.T_body_marker
+    on_platform, T = state.placed.on_platform, state.placed.T_body_marker
     for on in (False, True):
         body = unknowns.seen[on_platform[unknowns.seen] == on]
         held = not on and _held_by_cameras(unknowns, state)
         D[on] = RigidTransform.identity() if held or not len(body) else aligned(
-            state.markers.corners[body].reshape(-1, 3), stated.markers.corners[body].reshape(-1, 3))
-    free = np.array([row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.markers.target)])
+            state.placed.corners[body].reshape(-1, 3), stated.placed.corners[body].reshape(-1, 3))
+    free = np.array([row in unknowns.markers or name in unknowns.targets for row, name in enumerate(state.placed.target)])
     shift = RigidTransform.concatenate([D[on] if moves else RigidTransform.identity() for on, moves in zip(on_platform.tolist(), free)])
-    base, markers = D[False], replace(state.markers, T_body_marker=shift * T)
+    base, markers = D[False], replace(state.placed, T_body_marker=shift * T)
     cameras = tuple(replace(c, pose=base * c.pose) if i in unknowns.poses else c for i, c in enumerate(state.cameras))
     moved = State(cameras, base * state.platform * D[True].inv(), {i: base * T_camera for i, T_camera in state.moving.items()}, markers)
     target_moves = dict(estimate.target_moves)
     if not unknowns.markers:
         for name, T_target in target_moves.items():
             middle = RigidTransform.from_translation(unknowns.middles[name])
-            target_moves[name] = middle.inv() * D[bool(on_platform[state.markers.target.index(name)])] * middle * T_target
+            target_moves[name] = middle.inv() * D[bool(on_platform[state.placed.target.index(name)])] * middle * T_target
         return Estimate(moved, estimate.marker_moves, target_moves)
     found = Estimate(moved, estimate.marker_moves, target_moves)
     return replace(found, marker_moves=_marker_moves(found, stated, unknowns))

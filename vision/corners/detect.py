@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple, overload
 
 import cv2
 import numpy as np
@@ -86,6 +86,14 @@ class Detection:
                          self.contrast[index], self.left_out)
 
 
+@overload
+def grey(image: np.ndarray, reader: Literal[True] = True) -> tuple[np.ndarray, np.ndarray]: ...
+
+
+@overload
+def grey(image: np.ndarray, reader: bool) -> tuple[np.ndarray | None, np.ndarray]: ...
+
+
 def grey(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.ndarray]:
     """(height, width) uint8 for the reader, and in 255ths at full depth for the fit, of an image as cv2 reads it: 8 or 16 bit, grey or colour.
 
@@ -149,12 +157,13 @@ def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: 
 
 def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
     """Read from an image (height, width) uint8; a marker that is seen twice is left out."""
-    found, left_out = {}, []
+    found: dict[int, list[np.ndarray]] = {}
+    left_out = []
     for name in dict.fromkeys(marker_map.dictionary):
         corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
-        ids = [] if ids is None else ids.ravel().tolist()
-        rows = marker_map.rows(np.array(ids, int)).tolist() if ids else []
-        for number, row, quad in zip(ids, rows, corners):
+        seen = np.zeros(0, int) if ids is None else ids.ravel().astype(int)
+        rows = marker_map.rows(seen).tolist() if len(seen) else []
+        for number, row, quad in zip(seen.tolist(), rows, corners):
             if row >= 0 and marker_map.dictionary[row] == name:
                 found.setdefault(number, []).append(quad)
     for number in [number for number, quads in found.items() if len(quads) > 1]:
@@ -181,7 +190,8 @@ def place(full: np.ndarray, camera: Camera, marker_map: MarkerMap, read: Read, s
     for size in np.unique(sizes):
         index = np.flatnonzero(sizes == size)
         margin = marker_map.margin[rows[index]] / marker_map.side[rows[index]] * (size - 2)
-        printed = _Printed(*(np.array([patterns[i][k] for i in index]) for k in (0, 1)), margin)
+        cells, outlooks = (np.array([patterns[i][k] for i in index]) for k in (0, 1))
+        printed = _Printed(cells, outlooks, margin)
         manner = manner._replace(wrong=(int(size) - 2) ** 2 // CORRECTED if verify else -1)
         squares = _cut_out(full, camera, guess[index], printed, spread, reach)
         fits = _fit(squares, guess[index], manner, NO_PROFILE if profile is None else profile)
@@ -192,9 +202,8 @@ def place(full: np.ndarray, camera: Camera, marker_map: MarkerMap, read: Read, s
     if not parts:
         empty = np.zeros(0)
         return Detection(np.zeros(0, int), np.zeros((0, 4, 2)), np.zeros((0, 8, 8)), empty, empty, empty, tuple(left_out))
-    joined = [np.concatenate(column) for column in zip(*parts)]
-    order = np.argsort(joined[0], kind="stable")
-    return Detection(*(column[order] for column in joined), tuple(left_out))
+    numbers, corners, covariance, blur, noise, contrast = (np.concatenate(column) for column in zip(*parts))
+    return Detection(numbers, corners, covariance, blur, noise, contrast, tuple(left_out)).take(np.argsort(numbers, kind="stable"))
 
 
 class _Printed(NamedTuple):
@@ -229,7 +238,9 @@ def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Prin
 def _fit(squares: square.Squares, quads: np.ndarray, manner: square.Manner, profile: np.ndarray) -> square.Fits:
     """square.Fits of Squares, from quads (m, 4, 2) px on; profile added to."""
     m = len(quads)
-    fits = square.Fits(quads.copy(), np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), *np.zeros((6, m)), np.zeros(m, np.int64), profile)
+    noise, contrast, used, doubted, width, steps = np.zeros((6, m))
+    fits = square.Fits(quads.copy(), np.zeros((m, 4, 2)), np.zeros((m, 8, 8)), noise, contrast, used, doubted, width, steps, np.zeros(m, np.int64),
+                       profile)
     square.fit_squares(squares, manner, fits)
     return fits
 

@@ -3,9 +3,9 @@
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
-from numba import config, njit
+import numba
 
 from rig.compiled import kernel_folder
 
@@ -13,6 +13,7 @@ from rig.compiled import kernel_folder
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 F = TypeVar("F", bound=Callable)
+_settings: Any = numba.config  # its names come and go with the environment
 
 
 def _folder() -> str:
@@ -20,7 +21,7 @@ def _folder() -> str:
     here = Path(__file__).parent
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
     digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
-    parent = Path(config.CACHE_DIR) if config.CACHE_DIR else kernel_folder() or here / "__pycache__"
+    parent = Path(_settings.CACHE_DIR) if _settings.CACHE_DIR else kernel_folder() or here / "__pycache__"
     return str(parent / f"kernels-{digest}")
 
 
@@ -29,8 +30,8 @@ _FOLDER = _folder()
 
 def kernel(function: F) -> F:
     """Compile a function when it is first called, or load what was compiled in an earlier run."""
-    before, config.CACHE_DIR = config.CACHE_DIR, _FOLDER
+    before, _settings.CACHE_DIR = _settings.CACHE_DIR, _FOLDER
     try:
-        return njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)(function)
+        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)(function))
     finally:
-        config.CACHE_DIR = before
+        _settings.CACHE_DIR = before

@@ -24,10 +24,10 @@ def table(camera: Camera) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _table(matrix: bytes, distortion: bytes, width: int, height: int) -> np.ndarray:
-    matrix, distortion = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
+    K = np.frombuffer(matrix).reshape(3, 3)
     u, v = (SPACING * np.arange(-BEYOND, int(size / SPACING) + BEYOND + 2) for size in (width, height))
-    ideal = lens.undistort(np.stack(np.meshgrid(u, v), axis=-1), matrix, distortion)
-    return ideal * matrix[[0, 1], [0, 1]]
+    ideal = lens.undistort(np.stack(np.meshgrid(u, v), axis=-1), K, np.frombuffer(distortion))
+    return ideal * K[[0, 1], [0, 1]]
 
 
 @kernel

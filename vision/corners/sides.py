@@ -76,7 +76,7 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
                 found += 1
         shift, turn = 0.0, 0.0
         if found >= PROFILES // 2:
-            centre = np.median(offsets[:found])
+            centre = float(np.median(offsets[:found]))
             for tries in range(2):  # the second time without those that stand apart
                 n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
                 for q in range(found):

@@ -43,8 +43,7 @@ class Board:
 
     def places(self) -> np.ndarray:
         """(m, 2) m, middles of the markers in the order of their identities."""
-        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        x, y = x.ravel(), y.ravel()
+        x, y = (grid.ravel() for grid in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         if self.kind == "charuco":
             odd = (x + y + (self.rows % 2 == 0 if self.legacy else 0)) % 2 == 1
             return (np.stack([x[odd], y[odd]], axis=1) + 0.5) * self.pitch
@@ -144,7 +143,8 @@ def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     found = detect(image, camera, map_)
     rows = (found.marker[:, None] * 4 + np.arange(4)).ravel()
     covariance = np.array([found.covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)]).reshape(4, -1, 2, 2).swapaxes(0, 1)
-    return BoardView(rows, found.corners.reshape(-1, 2), covariance.reshape(-1, 2, 2), tuple((4 * number, why) for number, why in found.left_out))
+    return BoardView(rows, found.corners.reshape(-1, 2), covariance.reshape(-1, 2, 2),
+                     tuple((4 * one.marker, one.reason) for one in found.left_out))
 
 
 def _straight(camera: Camera) -> junction.Straight:

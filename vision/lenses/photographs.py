@@ -60,7 +60,7 @@ def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0
     A photograph that does not show the board is named and left out. Raises FileError for one that is no image or of another
     size than the first, NotEnoughData where too few show the board.
     """
-    images = []
+    images: list[np.ndarray] = []
     for path in paths:
         image = read_image(path)
         if images and image.shape[:2] != images[0].shape[:2]:
@@ -68,8 +68,8 @@ def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0
                                   f"{images[0].shape[0]} px: one camera has one size")
         images.append(image)
     height, width = images[0].shape[:2]
-    K = [[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]]
-    camera, views = Camera(name, width, height, K, np.zeros(FIRST), RigidTransform.identity()), []
+    K = np.array([[1.2 * width, 0, (width - 1) / 2], [0, 1.2 * width, (height - 1) / 2], [0, 0, 1]])
+    camera = Camera(name, width, height, K, np.zeros(FIRST), RigidTransform.identity())
     for again in (False, True):
         views = []
         for k, image in enumerate(images):

@@ -1,6 +1,6 @@
 """What cameras may be: exchanged, posed the other way round, their matrix or their lens's terms in another order or for another image."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -31,7 +31,7 @@ def poses(pose: RigidTransform) -> Iterator[tuple[str, RigidTransform]]:
         yield f"its images are turned by {angle} degrees", pose * RigidTransform.from_rotation(Rotation.from_euler("z", angle, degrees=True))
     for seq in ("xyz", "zyx", "XYZ", "ZYX"):
         for degrees in (False, True):
-            for w in (v, v * (1 - 2 * np.pi / max(np.linalg.norm(v), 1e-9))):  # a pose keeps its vector shorter than pi
+            for w in (v, v * (1 - 2 * np.pi / max(float(np.linalg.norm(v)), 1e-9))):  # a pose keeps its vector shorter than pi
                 yield (f"its rotation is Euler angles ({seq.lower()} {'fixed' if seq.islower() else 'moving'} axes{', degrees' if degrees else ''}"
                        f"{'' if w is v else ', long'}), not a rotation vector",
                        RigidTransform.from_components(t, Rotation.from_euler(seq, w, degrees=degrees)))
@@ -119,7 +119,7 @@ def _parts(c: Camera) -> tuple[float, float, float, float]:
     return c.matrix[0, 0], c.matrix[1, 1], c.matrix[0, 2], c.matrix[1, 2]
 
 
-def _with_matrix(order: tuple[int, int, int, int]) -> object:
+def _with_matrix(order: tuple[int, int, int, int]) -> Callable[[Camera], Camera]:
     def other(c: Camera) -> Camera:
         parts = _parts(c)
         if min(parts) <= 0:
@@ -128,16 +128,16 @@ def _with_matrix(order: tuple[int, int, int, int]) -> object:
     return other
 
 
-def _scaled(factor: float) -> object:
+def _scaled(factor: float) -> Callable[[Camera], Camera]:
     return lambda c: replace(c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, (c.matrix[0, 2] + 0.5) * factor - 0.5,
                                                (c.matrix[1, 2] + 0.5) * factor - 0.5))
 
 
-def _focal(factor: float) -> object:
+def _focal(factor: float) -> Callable[[Camera], Camera]:
     return lambda c: replace(c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[1, 1] * factor, c.matrix[0, 2], c.matrix[1, 2]))
 
 
-def _terms(change: object) -> object:
+def _terms(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Camera]:
     def other(c: Camera) -> Camera:
         d = np.zeros(max(5, len(c.distortion)))
         d[: len(c.distortion)] = c.distortion

@@ -84,7 +84,7 @@ def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) ->
     found: dict[str, list[str]] = {}
     for name in lost:
         count = {family: sum(votes[family][number] for number in ids[name]) for family in FAMILIES if not _kin(family, stated[name])}
-        best = max(count, key=count.get)
+        best = max(count, key=lambda family: count[family])
         if count[best] >= LEAST:
             found.setdefault(best, []).append(name)
     out = [Mistake(f"rig.toml: wrong dictionary: the markers of {'all targets' if len(names) == len(stated) else ', '.join(names)} are of "
@@ -121,7 +121,7 @@ def _none(images: list[np.ndarray], markers: MarkerMap, votes: dict[str, Counter
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
     ids = dictionary_reader(name).detectMarkers(image)[1]
-    return [] if ids is None else ids.ravel().tolist()
+    return [] if ids is None else [int(number) for number in ids.ravel()]
 
 
 def _kin(family: str, stated: str) -> bool:

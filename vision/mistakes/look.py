@@ -12,6 +12,7 @@ from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from rig.mistakes import Mistake, in_order, motion
 from rig.recording import Corners, Recording
+from vision.measure import Measurement
 from vision.mistakes import cameras, targets
 from vision.mistakes import corners as order
 from vision.mistakes.sample import LOST, Seen, Trial, of, trial
@@ -45,8 +46,8 @@ def look(recording: Recording, corners: Corners, thorough: bool = False) -> tupl
     first = trial(seen)
     found, best = _seen(first)
     if best.measured is not None:
-        found += _posed(best, recording.design) + _lens(best, best.seen.design)
-        found += _moved(recording, corners if not any(one.spoils for one in found) else None, best, thorough)
+        found += _posed(best.measured, recording.design) + _lens(best.measured, best.seen.design)
+        found += _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
     return in_order(found)
 
 
@@ -135,9 +136,8 @@ def _tried(first: Trial) -> tuple[list[tuple[str, str, Trial]], bool]:
     return tried, True
 
 
-def _posed(best: Trial, design: Design) -> list[Mistake]:
+def _posed(m: Measurement, design: Design) -> list[Mistake]:
     """Cameras that the base's markers put elsewhere than rig.toml has them."""
-    m = best.measured
     on_base = set(m.observations.camera[~m.observations.on_platform & m.inliers].tolist())
     rows = [i for i, camera in enumerate(design.cameras) if camera.mount == "fixed" and i in on_base]
     stated, seen = [design.cameras[i] for i in rows], [m.design.cameras[i] for i in rows]
@@ -159,7 +159,7 @@ def _posed(best: Trial, design: Design) -> list[Mistake]:
     if len(far) > 1 and max(ways[k][common] for k in far) < 1:
         return [Mistake(f"rig.toml: cameras {', '.join(stated[k].name for k in far)}: {common}{tail}", cameras.BEFORE, False, 0.85)]
     for k in far:
-        what = min(ways[k], key=ways[k].get)
+        what = min(ways[k], key=lambda way: ways[k][way])
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
         said = what if ways[k][what] < max(1.0, NEARER * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
@@ -170,16 +170,18 @@ def _posed(best: Trial, design: Design) -> list[Mistake]:
 
 def _elsewhere(one: Trial) -> float:
     """How far a Trial's cameras stand from where they are stated, in all, in what is allowed."""
+    if one.measured is None:
+        return np.inf
     return sum(_far(a.pose, b.pose) for a, b in zip(one.seen.design.cameras, one.measured.design.cameras) if a.mount == "fixed")
 
 
-def _lens(best: Trial, design: Design) -> list[Mistake]:
+def _lens(m: Measurement, design: Design) -> list[Mistake]:
     """Lenses that adjusting brought to what another sign or order of the stated terms is."""
     found: dict[tuple[str, str], list[str]] = {}
-    for stated, seen in zip(design.cameras, best.measured.design.cameras):
+    for stated, seen in zip(design.cameras, m.design.cameras):
         off = cameras.bend(stated, seen)
         ways = {(what, do): cameras.bend(other, seen) for what, do, other in cameras.terms(stated)}
-        named = min(ways, key=ways.get, default=None)
+        named = min(ways, key=lambda way: ways[way], default=None)
         if off > BENT and named is not None and ways[named] < BETTER * off:
             found.setdefault(named, []).append(stated.name)
     return [Mistake(f"rig.toml: {what}, of camera{'s' * (len(names) > 1)} {', '.join(names)}: adjusting them to the images undoes it", do, False, 0.6)
@@ -191,15 +193,15 @@ def _far(a: RigidTransform, b: RigidTransform) -> float:
     return max(float(np.linalg.norm(a.translation - b.translation)) / AWAY[0], float((a.rotation.inv() * b.rotation).magnitude()) / AWAY[1])
 
 
-def _moved(recording: Recording, corners: Corners | None, best: Trial, thorough: bool) -> list[Mistake]:
+def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorough: bool) -> list[Mistake]:
     """What commands and the poses seen say of each other. corners : all there are, for more poses; None where they are not as stated."""
     if recording.commands is None or recording.design.mechanism.kind != "hexapod":
         return []
-    m = best.measured
     few = motion.of(recording, m.frames, m.T_base_platform)
     if corners is not None and (thorough or motion.disagree(few)):
-        many = of(replace(recording.design, cameras=m.design.cameras), corners, *recording.exposures.times(), MOVING)
-        more = trial(many).measured
+        frames, t = recording.exposures.times()
+        many = of(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
+        more = trial(many).measured if many is not None else None
         if more is not None:
             few = motion.of(recording, more.frames, more.T_base_platform)
     return list(motion.mistakes(few))

@@ -1,6 +1,7 @@
 """A few frames' corners with the rig they are said to be of, and how well the two agree."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Seen:
         """The same with other targets in the design."""
         return replace(self, design=replace(self.design, targets=tuple(targets)))
 
-    def with_corners(self, **columns: object) -> "Seen":
+    def with_corners(self, **columns: Any) -> "Seen":
         """The same with some columns of the corners replaced."""
         return replace(self, corners=replace(self.corners, **columns))
 
@@ -57,8 +58,8 @@ def of(design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, coun
     if not len(corners.frame):
         return None
     rich = np.bincount(np.searchsorted(frames, corners.frame), minlength=len(frames))
-    picked = [part[np.argmax(rich[part])] for part in np.array_split(np.arange(len(frames)), min(count, len(frames)))]
-    picked = np.array([k for k in picked if rich[k]])
+    richest = [part[np.argmax(rich[part])] for part in np.array_split(np.arange(len(frames)), min(count, len(frames)))]
+    picked = np.array([k for k in richest if rich[k]])
     return Seen(design, take(corners, np.isin(corners.frame, frames[picked])), frames[picked], t[picked])
 
 

@@ -33,23 +33,24 @@ def scales(seen: Seen) -> dict[str, tuple[float, int]]:
 
     Each marker alone has its distance from the camera in units of its own side; how far two targets of one body are apart is stated.
     """
-    markers, ratios = marker_map(seen.design), {}
+    markers = marker_map(seen.design)
+    ratios: dict[str, list[float]] = {}
     c, cameras = seen.corners, {camera.name: camera for camera in seen.design.cameras}
     rows = markers.rows(c.marker)
-    order = np.lexsort((c.corner, rows, c.camera, c.frame))
+    order = np.lexsort((c.corner, rows, np.array(c.camera), c.frame))
     order = order[rows[order] >= 0]
     images: dict[tuple[int, str], dict[int, list[int]]] = {}
     for i in order.tolist():
         images.setdefault((int(c.frame[i]), c.camera[i]), {}).setdefault(int(rows[i]), []).append(i)
     middles = markers.T_body_marker.translation
     for (_, name), seen_here in images.items():
-        places = {row: _alone(c.uv[own], cameras[name], float(markers.side[row])) for row, own in seen_here.items() if len(own) == 4}
-        places = {row: place for row, place in places.items() if place is not None}
+        alone = {row: _alone(c.uv[own], cameras[name], float(markers.side[row])) for row, own in seen_here.items() if len(own) == 4}
+        places = {row: place for row, place in alone.items() if place is not None}
         for a, b in combinations(places, 2):
             if markers.on_platform[a] == markers.on_platform[b] and markers.target[a] != markers.target[b]:
-                apart = np.linalg.norm(places[a] - places[b])
+                apart = float(np.linalg.norm(places[a] - places[b]))
                 ratios.setdefault("platform" if markers.on_platform[a] else "base",
-                                  []).append(np.linalg.norm(middles[a] - middles[b]) / max(apart, 1e-9))
+                                  []).append(float(np.linalg.norm(middles[a] - middles[b])) / max(apart, 1e-9))
     return {body: (float(np.median(values)), len(values)) for body, values in ratios.items()}
 
 
@@ -85,7 +86,7 @@ def with_sides(seen: Seen, factor: float, body: str | None = None) -> Seen:
 
 
 def _resized(target: Target, factor: float) -> Target:
-    if target.listed:
+    if target.listed or target.marker is None:
         return replace(target, listed=tuple(replace(m, side=m.side * factor) for m in target.listed))
     return replace(target, marker=target.marker * factor)
 
@@ -95,10 +96,11 @@ def said(share: float, target: Target | None) -> str:
     off = f"the markers are printed {abs(share - 1):.1%} {'larger' if share > 1 else 'smaller'} than rig.toml states (scale of print)"
     if target is None:
         return off
-    for what, ratio in _named(target).items() if not target.edge or target.marker < 0.99 * target.edge else ():
+    edge, side = target.edge or 0.0, target.marker or 0.0
+    for what, ratio in _named(target).items() if not edge or side < 0.99 * edge else ():
         if abs(share / ratio - 1) < max(NAMED, 0.15 * abs(ratio - 1)) and abs(ratio - 1) > 2 * PRINTED:
             return f"marker side: {what}: the markers are {share:.3f} times what rig.toml states"
-    if target.edge and abs(target.marker / target.edge - 1) < 0.01 and share < 0.97:
+    if edge and abs(side / edge - 1) < 0.01 and share < 0.97:
         return f"marker side: the cubes' edge is stated as the markers' side: the markers are {share:.3f} times that"
     for unit, ratio in (("inches", 0.0254), ("centimetres", 0.01), ("millimetres", 0.001)):
         if abs(share / ratio - 1) < 0.05:
@@ -189,17 +191,18 @@ def edges(seen: Seen) -> Iterator[Candidate]:
 
 def suspicious(trial: Trial) -> list[str]:
     """Names of targets with a marker most of whose corners are not where they ought to be, while most targets have none; the worst first."""
-    if trial.measured is None:
+    if trial.measured is None or trial.miss is None:
         return []
     o, markers = trial.measured.observations, marker_map(trial.seen.design)
-    owners, off = np.array(markers.target), {}
+    owners = np.array(markers.target)
+    off: dict[str, float] = {}
     for row in np.unique(o.marker):
         miss = trial.miss[o.marker == row] > 2.0
         if miss.mean() > 0.5 and len(miss) >= LEAST_CORNERS:
             off[str(owners[row])] = off.get(str(owners[row]), 0.0) + float(miss.sum())
     if 2 * len(off) > len(set(markers.target)):
         return []
-    return sorted(off, key=off.get, reverse=True)[:2]
+    return sorted(off, key=lambda name: off[name], reverse=True)[:2]
 
 
 _POSES = (

@@ -154,8 +154,8 @@ def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tu
         for f, reason in astray(found, t).items():
             del found[f]
             why[f] = reason
-        doubtful = {f: [one.T_world_body.as_matrix() for one in answer.candidates] for f, answer in answers.items()
-                    if not answer and answer.candidates}
+        doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.T_world_body.as_matrix() for one in answer.candidates]
+                                                     for f, answer in answers.items() if not answer and answer.candidates}
         chosen = choose(found, doubtful, t)
         why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
     poses = {f: RigidTransform.from_matrix(matrix) for f, matrix in (found | chosen).items()}

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple, final
 
 import cv2
 import numpy as np
@@ -45,6 +45,7 @@ class View:
     T_camera_world: np.ndarray
 
 
+@final
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
     """T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given; inliers : (n,) bool."""
@@ -59,9 +60,9 @@ class Unsolved:
     """No pose, and why. False in a condition. candidates : Located poses that the images alone cannot decide between."""
 
     reason: str
-    candidates: tuple = ()
+    candidates: tuple[Located, ...] = ()
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> Literal[False]:
         return False
 
 
@@ -124,15 +125,15 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
     located = Located(RigidTransform.from_matrix(matrix), covariance, inliers)
     rival = _rival(view, matrices, distance, matrix, square, scale, finest)
     if rival is not None:
-        turn = np.degrees(_apart(rival.T_world_body.as_matrix(), matrix))
+        turn = np.degrees(_turn(rival.T_world_body.as_matrix(), matrix))
         return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, rival))
     return located
 
 
 def _alone(view: View, matrices: np.ndarray, distance: np.ndarray, finest: float) -> tuple[Located, ...]:
     """Located poses of one sighting by itself: one, or the two that a plane's image leaves and whose fits do not differ enough."""
-    found = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
-    found = sorted((one for one in found if one is not None), key=lambda one: one[3])
+    refined = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
+    found = sorted((one for one in refined if one is not None), key=lambda one: one[3])
     worst = found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0  # eight figures less six unknowns leave two
     return tuple(Located(RigidTransform.from_matrix(one[0]), *one[1:3]) for k, one in enumerate(found)
                  if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k]))
@@ -200,9 +201,10 @@ def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -
     for iteration in range(ITERATIONS):
         if inliers.sum() < 4:
             return None
-        r, J = _linearise(view, matrix, whitener)
-        if r is None:
+        linear = _linearise(view, matrix, whitener)
+        if linear is None:
             return None
+        r, J = linear
         square = np.where(finite, (r**2).sum(axis=1), np.inf)
         scale = max(np.sqrt(np.median(square[inliers]) / 1.386), finest)  # median of chi-square with 2 degrees of freedom
         gate = square < (GATE * scale) ** 2
@@ -229,11 +231,11 @@ def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -
     return _Refined(matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale))
 
 
-def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Whitened residuals (n, 2) and Jacobian (n, 2, 6); None where a point falls behind its camera."""
     R, ahead = _ahead(view, matrix)
     if (ahead[:, 2] <= AHEAD).any():
-        return None, None
+        return None
     ideal = ahead[:, :2] / ahead[:, 2:]
     J_point = np.zeros((len(ideal), 2, 3))
     J_point[:, 0, 0] = J_point[:, 1, 1] = 1 / ahead[:, 2]
@@ -256,15 +258,21 @@ def _rival(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.nd
         if any(_apart(matrices[at], other) is None for other in tried):
             continue
         tried.append(matrices[at])
-        other = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
-        alike = other is not None and other[3] - square < worse and other[2].sum() >= 0.9 * len(other[2]) - 1
-        if alike and _apart(other[0], matrix) is not None:
-            return Located(RigidTransform.from_matrix(other[0]), *other[1:3])
+        rival = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
+        if rival is None or not rival.square - square < worse or rival.inliers.sum() < 0.9 * len(rival.inliers) - 1:
+            continue
+        if _apart(rival.matrix, matrix) is not None:
+            return Located(RigidTransform.from_matrix(rival.matrix), rival.covariance, rival.inliers)
     return None
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float | None:
     """Angle (rad) between two poses that differ, None for two that are the same."""
-    angle = np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec())
-    far = np.linalg.norm(a[:3, 3] - b[:3, 3]) > SAME * max(np.linalg.norm(a[:3, 3]), 0.1)
-    return float(angle) if angle > SAME or far else None
+    angle = _turn(a, b)
+    far = np.linalg.norm(a[:3, 3] - b[:3, 3]) > SAME * max(float(np.linalg.norm(a[:3, 3])), 0.1)
+    return angle if angle > SAME or far else None
+
+
+def _turn(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle (rad) between the rotations of two poses (4, 4)."""
+    return float(np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()))

@@ -32,13 +32,16 @@ def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarr
     One candidate must lie within what neighbours predict solved frames to, and every other beyond it and WORSE times as far.
     A frame so decided is a neighbour in its turn.
     """
-    reach, chosen, known = reach_of(found, t), {}, dict(found)
-    waiting = set(undecided) if reach is not None else set()
+    reach, known = reach_of(found, t), dict(found)
+    chosen: Poses = {}
+    if reach is None:
+        return chosen
+    waiting = set(undecided)
     while waiting:
         fresh = {}
         for f in waiting:
             expected, limit = expect(known, f, t, reach)
-            if not limit < MOST:
+            if expected is None or not limit < MOST:
                 continue
             miss = np.array([angle(expected, one) for one in undecided[f]])
             order = np.argsort(miss)
@@ -52,11 +55,14 @@ def choose(found: Poses, undecided: dict[int, Sequence[np.ndarray]], t: np.ndarr
 
 def astray(found: Poses, t: np.ndarray) -> dict[int, str]:
     """{frame: reason} of solved frames (4, 4) that turn away from neighbours which predict all the others well: a flip."""
-    reach, odd = reach_of(found, t), {}
-    for f, T in found.items() if reach is not None else ():
+    reach = reach_of(found, t)
+    odd: dict[int, str] = {}
+    if reach is None:
+        return odd
+    for f, T in found.items():
         if None not in _near(found, f, t):
             expected, limit = expect(found, f, t, reach)
-            if angle(expected, T) > max(2 * limit, MOST):
+            if expected is not None and angle(expected, T) > max(2 * limit, MOST):
                 odd[f] = f"it turns by {np.degrees(angle(expected, T)):.0f} degrees against the frames before and after"
     return odd
 
@@ -79,9 +85,9 @@ def expect(found: Poses, f: int, t: np.ndarray, reach: Reach) -> tuple[np.ndarra
     before, after = _near(found, f, t)
     ways = [(reach.beside * abs(t[f] - t[k]), k) for k in (before, after) if k is not None]
     limit, nearest = min(ways, default=(np.inf, None))
-    if len(ways) == 2 and reach.between * (t[after] - t[before]) ** 2 < limit:
+    if before is not None and after is not None and reach.between * (t[after] - t[before]) ** 2 < limit:
         return _between(found, before, after, f, t), max(LEAST, reach.between * (t[after] - t[before]) ** 2)
-    return found.get(nearest), max(LEAST, limit)
+    return None if nearest is None else found.get(nearest), max(LEAST, limit)
 
 
 def _near(found: Poses, f: int, t: np.ndarray) -> list[int | None]:

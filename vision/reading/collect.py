@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple, TypeVar
 
 import cv2
@@ -28,7 +27,8 @@ ROUNDS = 4  # of fitting and learning; the edges' width and shape settle togethe
 FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
 
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Found = tuple[int, str, Detection]  # frame number, camera name, what that image shows
 
 
@@ -156,7 +156,11 @@ def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], f
     for frame in sorted({frame for frame, *_ in work}):
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
-        out.update(zip(fresh, _in_parallel(partial(one, T=last), fresh, tell)))
+
+        def here(k: int, T: RigidTransform | None = last) -> Detection:
+            return one(k, T)
+
+        out.update(zip(fresh, _in_parallel(here, fresh, tell)))
         last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
@@ -192,7 +196,7 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
         done = _in_parallel(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
         if len(blur):
-            spread = learn(spread, sum(profile for _, profile in done), float(np.median(blur)))
+            spread = learn(spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur)))
     return spread
 
 

@@ -141,8 +141,8 @@ def _usurped(m: Measurement, marker_map: MarkerMap, read: ReadImage) -> dict[int
                     there.append((int(m.frames[frame]), cameras[camera].name, places[rows == row][0]))
         there = [there[k] for k in np.unique(np.linspace(0, len(there) - 1, min(LOOKED_AT, len(there))).round().astype(int))] if there else []
         images = [(read(frame, name), place) for frame, name, place in there]
-        votes = Counter(_reads_at(image, place, marker_map.dictionary[row]) for image, place in images if image is not None)
-        votes.pop(None, None)
+        readings = [_reads_at(image, place, marker_map.dictionary[row]) for image, place in images if image is not None]
+        votes = Counter(number for number in readings if number is not None)
         if votes and max(votes.values()) >= min(LEAST, len(there)):
             other, like = votes.most_common(1)[0]
             found[int(marker_map.id[row])] = Suspect(int(marker_map.id[row]), "other", other, 0, like, len(there))
@@ -155,7 +155,7 @@ def _reads_at(image: np.ndarray, place: np.ndarray, name: str) -> int | None:
     side = np.linalg.norm(place - np.roll(place, 1, axis=0), axis=1).mean()
     for number, quad in zip([] if ids is None else ids.ravel().tolist(), corners):
         if np.linalg.norm(quad[0].mean(axis=0) - place.mean(axis=0)) < 2 * FIT * side:
-            return number
+            return int(number)
     return None
 
 
@@ -167,9 +167,9 @@ def why_none(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
         if sum(seen):
             return f"{sum(seen)} markers of {name} are seen in a mirror: the images are mirrored, left to right"
     for name in stated:
-        seen = set(number for image in images for number in _numbers(image, name)) - set(marker_map.id.tolist())
-        if seen:
-            return f"markers of {name} are seen, but other markers than rig.toml has: {', '.join(map(str, sorted(seen)[:12]))}"
+        strange = {number for image in images for number in _numbers(image, name)} - set(marker_map.id.tolist())
+        if strange:
+            return f"markers of {name} are seen, but other markers than rig.toml has: {', '.join(map(str, sorted(strange)[:12]))}"
     others = [name for name in _FAMILIES if name.rsplit("_", 1)[0] not in {other.rsplit("_", 1)[0] for other in stated} or "X" not in name]
     best = max(((sum(_count(image, name, marker_map.id) for image in images), name) for name in others if name not in stated), default=(0, ""))
     if best[0] >= max(LEAST, len(images)):
@@ -179,7 +179,7 @@ def why_none(images: Sequence[np.ndarray], marker_map: MarkerMap) -> str:
 
 def _numbers(image: np.ndarray, name: str) -> list[int]:
     ids = dictionary_reader(name).detectMarkers(image)[1]
-    return [] if ids is None else ids.ravel().tolist()
+    return [] if ids is None else [int(number) for number in ids.ravel()]
 
 
 def _count(image: np.ndarray, name: str, wanted: np.ndarray) -> int:

@@ -54,7 +54,8 @@ class Live:
         if not design.cameras or not design.targets:
             raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
         self.design, self.markers = design, marker_map(design)
-        self.cameras, self.noise = design.cameras, None
+        self.cameras = design.cameras
+        self.noise: float | None = None
         self._rows: list[tuple[int, str, Detection]] = []
         self._solved, self._factor = 0, 1.0
         self._measurement: Measurement | None = None
