@@ -27,8 +27,8 @@ from rig.pose import vector
 from rig.recording import Recording
 from vision.bundle.places import Places
 from vision.measure import Measurement
-from vision.pose.identity import Suspect
 from vision.reading.collect import Collected
+from vision.reading.identity import Suspect
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}

@@ -58,7 +58,10 @@ def check_format(path: str | Path) -> str:
 
 
 def save(path: str | Path, pictures: list[tuple[str, np.ndarray]], measured: Measurement) -> str:
-    """Write the pictures side by side; returns what there is to say about the frame, in words. Raises as `check_format` and writing do."""
+    """Write pictures (h, w, 3) with their names side by side; returns what there is to say about the frame, in words.
+
+    Raises FileError as `check_format` and writing do, RigError for a picture that cannot be coded
+    """
     height = max(picture.shape[0] for _, picture in pictures)
     padded = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, 4, cv2.BORDER_CONSTANT) for _, p in pictures]
     done, coded = cv2.imencode(check_format(path), np.hstack(padded))

@@ -51,7 +51,7 @@ def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.
 
 
 def terms(distortion: np.ndarray) -> tuple[str, ...]:
-    """Names of the lens's parameters in the Jacobian's order."""
+    """Names of the lens's parameters in the Jacobian's order. distortion : (4, 5, 8, 12 or 14,)"""
     return INTRINSICS + DISTORTION[: len(distortion)]
 
 

@@ -184,6 +184,8 @@ def _late(camera: Camera, effects: Sequence[Effect], v: np.ndarray) -> np.ndarra
 def _delayed(corners: np.ndarray, markers: MarkerMap, marker: np.ndarray, state: State, frame: np.ndarray, on: np.ndarray, run: Run,
              late: np.ndarray) -> np.ndarray:
     """Corners (k, 4, 3) m in the base, those on the platform where it is `late` (k, 4) s after its frame's exposure."""
+    if run.rate is None or run.curvature is None:
+        raise ValueError("image rows that are exposed late take a run with its rates; it has none")
     step = late[..., None] * run.rate[frame][:, None] + late[..., None] ** 2 / 2 * run.curvature[frame][:, None]
     moved = exp(step).as_matrix()
     body = (moved[..., :3, :3] @ markers.corners[marker][..., None])[..., 0] + moved[..., :3, 3]

@@ -67,7 +67,7 @@ def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "len
 
 def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str], progress: Callable[[str, int, int], None] | None,
           t: np.ndarray, places: str) -> Measurement:
-    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at."""
+    """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at. t : (F,) s"""
     loose, measured, contradicted = (*free, "markers"), None, True
     if places == "free":
         return measure(observed, design, markers, loose, progress, t)

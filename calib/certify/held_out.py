@@ -85,7 +85,7 @@ def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.nd
 
 
 def correlation(series: np.ndarray) -> float:
-    """How many neighbours in time say the same: 1 + 2 x the sum of the autocorrelations before they first turn negative."""
+    """How many neighbours in time say the same in a series (n,): 1 + 2 x the sum of the autocorrelations before they first turn negative."""
     centred = series - series.mean()
     total = (centred**2).sum()
     factor = 1.0

@@ -106,7 +106,7 @@ def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
-    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames, lengths : as `readings` gives them.
+    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `readings` gives them.
 
     Raises NotEnoughData where no frame has both
     """

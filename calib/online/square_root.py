@@ -159,7 +159,7 @@ def learn(pose: Pose, machine: Machine, estimate: Estimate, slot: int, innovatio
 
 @njit(cache=True)
 def begin(S: np.ndarray, sums: np.ndarray, slot: int) -> None:
-    """An onset begins in a slot: its columns of the triangle S and its sums are nothing yet."""
+    """An onset begins in a slot: its KINDS columns of the triangle S (n, n) and its row of the sums (slots, ..) are nothing yet."""
     at = S.shape[0] + 1 + KINDS * slot
     S[:, at : at + KINDS] = 0.0
     sums[slot] = 0.0

@@ -155,7 +155,10 @@ def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.n
 
 
 def promised(blocks: Blocks, shared: np.ndarray, local: np.ndarray) -> float:
-    """By how much the undamped steps of `step` lower the cost where it is as its linearisation has it."""
+    """By how much the undamped steps of `step` lower the cost where it is as its linearisation has it.
+
+    shared, local : the steps (s,), (frames, l), scaled, as `step` gives them
+    """
     return float(blocks.common @ shared + (blocks.own * local).sum())
 
 

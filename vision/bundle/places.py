@@ -23,22 +23,23 @@ WIDE = 1.96  # standard deviations on either side of a 95 % interval
 
 
 class Measured(Protocol):
-    """What is asked here of a vision.measure.Measurement, which stands above.
-
-    frames : (f,) numbers of the solved frames; T_base_platform : RigidTransform (f,); observations : of all frames
-    """
+    """What is asked here of a vision.measure.Measurement, which stands above."""
 
     @property
-    def frames(self) -> np.ndarray: ...
+    def frames(self) -> np.ndarray:
+        """(f,) numbers of the solved frames."""
 
     @property
-    def T_base_platform(self) -> RigidTransform: ...
+    def T_base_platform(self) -> RigidTransform:
+        """(f,) poses of the solved frames."""
 
     @property
-    def observations(self) -> Observations: ...
+    def observations(self) -> Observations:
+        """Of all frames."""
 
     @property
-    def adjustment(self) -> Adjustment: ...
+    def adjustment(self) -> Adjustment:
+        """Of the solved frames together."""
 
     def used(self) -> Observations:
         """Observations that were adjusted."""

@@ -77,7 +77,7 @@ def unknowns(observations: Observations, state: State, stated: State, free: Sequ
              worth: Callable[[Camera], np.ndarray] = lens_prior) -> tuple[Unknowns, Estimate]:
     """Unknowns of an adjustment, and the Estimate to start from. Raises ValueError for a group that there is not.
 
-    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, see `lens_prior`
+    stated : State whose markers stand where their owner says; worth : of a Camera's stated lens, (4 + terms,) as `lens_prior` has it
     """
     if set(free) - set(GROUPS):
         raise ValueError(f"free takes {GROUPS}, got {free}")

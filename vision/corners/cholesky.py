@@ -9,7 +9,7 @@ from vision.corners.jit import kernel
 
 @kernel
 def factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
-    """Cholesky factor L of H[first:first + size, first:first + size]; False where that is not definite."""
+    """Cholesky factor of H[first:first + size, first:first + size] into L (size, size); False where that is not definite."""
     for i in range(size):
         for j in range(i + 1):
             total = H[first + i, first + j]
@@ -26,7 +26,7 @@ def factor(H: np.ndarray, first: int, size: int, L: np.ndarray) -> bool:
 
 @kernel
 def solve(L: np.ndarray, size: int, b: np.ndarray, x: np.ndarray) -> None:
-    """x that L L' sends to b."""
+    """x (size,) that L L' sends to b (size,); L : of `factor`."""
     for i in range(size):
         total = b[i]
         for k in range(i):

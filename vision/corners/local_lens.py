@@ -87,7 +87,7 @@ class LocalPixel(NamedTuple):
 
 @kernel
 def to_pixel(lens: np.ndarray, x: float, y: float, u: float, v: float) -> LocalPixel:
-    """LocalPixel that `to_ideal` sends to x, y, from a guess u, v."""
+    """LocalPixel that `to_ideal` sends to x, y by a lens (2, 10), from a guess u, v."""
     ux, uy, vx, vy = 1.0, 0.0, 0.0, 1.0
     for _ in range(4):
         a, b = to_ideal(lens, u, v)

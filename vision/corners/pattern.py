@@ -102,7 +102,7 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
 
 @kernel
 def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
-    """The same where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
+    """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
     sx, sy, rho = meeting
     last = cells.shape[0] - 1
     h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)

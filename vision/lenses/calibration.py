@@ -88,7 +88,7 @@ def calibrate(observations: Observations, width: int, height: int, terms: int, n
 
 
 def hold_out(observations: Observations, width: int, height: int, terms: int, inliers: np.ndarray) -> HeldOut:
-    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it."""
+    """HeldOut: every photograph in turn predicted by a lens fitted to the others, its own pose alone fitted to it. inliers : (n,) bool"""
     o, by_image, total, count = observations, [], 0.0, 0
     for f in range(len(o.frames)):
         own = o.frame == f

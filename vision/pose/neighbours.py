@@ -68,7 +68,7 @@ def astray(found: Poses, t: np.ndarray) -> dict[int, str]:
 
 
 def reach_of(found: Poses, t: np.ndarray) -> Reach | None:
-    """Reach that solved frames show of each other, or None where too few have neighbours."""
+    """Reach that solved frames show of each other, or None where too few have neighbours. t : (F,) s"""
     between, beside = [], []
     for f, T in found.items():
         before, after = _near(found, f, t)

@@ -105,8 +105,10 @@ def signed_rank_gain(fall: np.ndarray) -> float:
 
 
 def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:
-    """The same by the sum over stretches in standard errors of that sum. beforehand : what squares fall by that belong to no frame: a misfit
-    that the prior on a nuisance alone shows is no stretch's, and has no rank"""
+    """The same by the sum over stretches of a fall (n,), in standard errors of that sum.
+
+    beforehand : what squares fall by that belong to no frame: a misfit that the prior on a nuisance alone shows is no stretch's, and has no rank
+    """
     by = np.bincount(blocks(len(fall), min(20, len(fall) // 2)), weights=fall)
     error = np.sqrt(len(by)) * by.std(ddof=1) if len(by) > 1 else np.inf
     return float((by.sum() + beforehand) / max(error, 1e-300))

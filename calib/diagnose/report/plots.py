@@ -28,7 +28,7 @@ def residuals(refined: Refined, without: tuple[int, ...] = ()) -> tuple[np.ndarr
 
 
 def model_residuals(model: LinearisedModel) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a model as it is."""
+    """(closures (F, axes) m, corners (n, 2) px) that a model as it is leaves."""
     return _in_metres(model, model.closure_residual), _in_pixels(model, model.corner_residual)
 
 

@@ -47,7 +47,7 @@ def resolved(profile: JointCandidate) -> float:
 
 
 def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well."""
+    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well. train : (n,) bool, or None for all"""
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
         reach = resolved(candidate)
         cycles = [i for i, t in enumerate(now.terms) if t.candidate.joint == candidate.joint and t.candidate.form in OWN_ANGLE
@@ -63,8 +63,10 @@ def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | Non
 
 
 def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew. A term is looked at
-    again once the scatter has changed to speak of."""
+    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew.
+
+    A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
+    """
     for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
         rest = now.without_terms(_numbers(now, one))
         best = search(rest, [_about(one)], cluster=policy.cluster)
@@ -87,7 +89,7 @@ def _about(one: Term) -> JointCandidate:
 
 
 def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these."""
+    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these. train : (n,) bool, or None for all poses"""
     for one in [t for t in now.terms if t.candidate.form is Form.PROFILE]:
         here, worth = now.without_terms(_numbers(now, one)), now.criterion()
         own = [c for c in candidates if c.joint == one.candidate.joint and c.form in (Form.SLOPE, Form.SINUSOID)]

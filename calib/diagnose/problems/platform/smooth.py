@@ -134,8 +134,10 @@ def cover(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | N
 
 
 def covered(model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarray | None) -> LinearisedModel:
-    """LinearisedModel with smooth functions, as `cover` gives them, among the nuisances. What the functions explain is first taken off the pictures,
-    so that corners far off, which count for less, do not keep their misfit."""
+    """LinearisedModel with smooth functions, pixels (n, 2, q) and weights (F, axes, r) as `cover` gives them, among the nuisances.
+
+    What the functions explain is first taken off the pictures, so that corners far off, which count for less, do not keep their misfit.
+    """
     if pixels is not None:
         for _ in range(ROUNDS):
             o = model.point.seen.observations
