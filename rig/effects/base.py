@@ -65,6 +65,7 @@ class Effect:
     view: ClassVar[str] = "displacement"
 
     if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
+        __dataclass_fields__: ClassVar[dict[str, Any]]
         place: str
 
         def __init__(self, place: str, **values: Any) -> None: ...

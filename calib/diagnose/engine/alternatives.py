@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
+from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.linear import cosine
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.engine.problem import Fit, Model, Problem
@@ -10,22 +11,22 @@ from calib.diagnose.engine.score import Alternative, Score
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refit(Generic[Fit]):
+class Refit(Generic[Fit, C]):
     """scanned : as a scan tells it; alternative : with what it is behind by a fit of all that is free
     fit : with it in the finding's place, the last of the terms"""
 
-    scanned: Alternative
-    alternative: Alternative
+    scanned: Alternative[C]
+    alternative: Alternative[C]
     fit: Fit
 
 
-def alike(alternative: Alternative, policy: SelectionPolicy) -> bool:
+def alike(alternative: Alternative[C], policy: SelectionPolicy) -> bool:
     """Whether an Alternative is not told apart from its finding."""
     close = abs(alternative.cosine)
     return close > policy.cosine or (alternative.behind < policy.alike and close >= policy.akin)
 
 
-def alternatives_of(problem: Problem[Fit, Model], model: Model, own: Score, progress: Any) -> list[Alternative]:
+def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C], progress: Any) -> list[Alternative[C]]:
     """[Alternative] by weight of a Score on a model without it, the best of each name and place."""
     policy, linear = problem.policy, problem.linear(model)
     size, here = linear.size, (own.candidate.name, own.candidate.place)
@@ -33,10 +34,11 @@ def alternatives_of(problem: Problem[Fit, Model], model: Model, own: Score, prog
     scores = problem.search(model, problem.candidates, max(own.raw_delta_bic(size) - reach, 0.0), progress)
     column = problem.column(model, own)
 
-    def alternative(score: Score) -> Alternative:
+    def alternative(score: Score[C]) -> Alternative[C]:
         return Alternative(score, own.evidence(size) - score.evidence(size), cosine(linear, column, problem.column(model, score)))
 
-    out, listed = [], set()
+    out: list[Alternative[C]] = []
+    listed: set[tuple[str, str]] = set()
     for s in scores:
         place = s.candidate.name, s.candidate.place
         if place == here:
@@ -50,7 +52,7 @@ def alternatives_of(problem: Problem[Fit, Model], model: Model, own: Score, prog
     return sorted(out, key=lambda a: a.behind)
 
 
-def refitted(problem: Problem[Fit, Model], fit: Fit, number: int, own: Score, found: list[Alternative]) -> list[Refit[Fit]]:
+def refitted(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]]) -> list[Refit[Fit, C]]:
     """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
     yet, and so tells of a strong term far less than it could."""
     close = [a for a in found if alike(a, problem.policy)][: problem.policy.refitted]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeVar
 
 import numpy as np
 
@@ -53,6 +54,9 @@ class Candidate:
     def allowed(self, coefficients: np.ndarray) -> np.ndarray:
         """Coefficients (q,) within the bounds, those beyond at them."""
         return coefficients if self.bounds is None or not len(coefficients) else np.clip(coefficients, *self.bounds)
+
+
+C = TypeVar("C", bound=Candidate)  # a problem's own kind of candidate
 
 
 @dataclass(frozen=True, slots=True)

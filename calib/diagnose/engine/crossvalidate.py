@@ -54,9 +54,11 @@ def folds(frames: int, sudden: bool, shorter: int = 4) -> np.ndarray:
 def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray) -> HeldOut:
     """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances fitted on other folds.
 
-    model : with an explicit basis; what was known beforehand is known in every fold, and is judged by the fit to all
+    model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is judged by the fit to all
     """
-    grams, basis = model.grams, model.columns.parts
+    if model.grams is None:
+        raise ValueError("stretches are held out of a model whose frames' products are kept")
+    grams, basis = model.grams, model.columns.whole
     rows = [[slice(a, b) for a, b in zip(block.edges[:-1], block.edges[1:])] for block in model.blocks]
     right = np.stack([sum(Q[at[f]].T @ y[at[f]] for Q, y, at in zip(basis, residuals, rows)) for f in range(model.frames)])
     known = [slice(int(block.edges[-1]), None) for block in model.blocks]

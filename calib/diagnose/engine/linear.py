@@ -5,6 +5,7 @@ a kind of measurement; its rows stand frame by frame, then what was known before
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
@@ -51,6 +52,13 @@ class Column:
         return Column(tuple(None if part is None else part[:, index] for part in self.parts))
 
     @property
+    def whole(self) -> tuple[Any, ...]:
+        """The parts where every block has one. Raises ValueError where one has none"""
+        if any(part is None for part in self.parts):
+            raise ValueError("a basis says of every block what it is there, zeros where it is nothing")
+        return self.parts
+
+    @property
     def count(self) -> int:
         """How many directions there are."""
         return next(part.shape[1] for part in self.parts if part is not None)
@@ -93,8 +101,8 @@ class LinearModel:
 
     def project(self, column: Column) -> Projection:
         """Projection of a Column (k)."""
-        K, b, G = 0.0, 0.0, 0.0
-        for block, basis, part in reversed(list(zip(self.blocks, self.columns.parts, column.parts))):
+        K, b, G = (np.zeros(shape) for shape in ((self.columns.count, column.count), column.count, (column.count, column.count)))
+        for block, basis, part in reversed(list(zip(self.blocks, self.columns.whole, column.parts))):
             if part is not None:
                 K, b, G = K + basis.T @ part, b + part.T @ block.residual, G + part.T @ part
         K = K if self.half is None else self.half.T @ K
@@ -107,18 +115,18 @@ class LinearModel:
         found = self.project(column)
         half = orthonormal(found.gram)
         lost, z = found.onto @ half, half.T @ found.right
-        more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.parts, column.parts)]
+        more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)]
         blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
-        columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.parts, more)))
+        columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.whole, more)))
         return explicit(blocks, columns, self.size - half.shape[1])
 
     def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        if self.grams is not None:
+        if self.grams is not None and self.projections is not None:
             return (self.projections + self.grams @ reach) @ onto.T
         back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
         out = np.zeros((self.frames, len(onto)))
-        for block, part in zip(self.blocks, self.columns.parts):
+        for block, part in zip(self.blocks, self.columns.whole):
             moved = (part @ np.column_stack([back, size]))[block.frames_rows]
             pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
@@ -133,7 +141,7 @@ def explicit(blocks: tuple[Block, ...], basis: Column, size: int) -> LinearModel
     """LinearModel of residuals that are free of an orthonormal basis, the frames' products kept."""
     frames, p = len(blocks[0].edges) - 1, basis.count
     rho, gram = np.zeros((frames, p)), np.zeros((frames, p, p))
-    for block, part in zip(blocks, basis.parts):
+    for block, part in zip(blocks, basis.whole):
         for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
             rho[f] += part[a:b].T @ block.residual[a:b]
             gram[f] += part[a:b].T @ part[a:b]
@@ -148,17 +156,20 @@ def orthonormal(gram: np.ndarray) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def joined(columns: list[Column]) -> Column | None:
-    """One Column of several over the same blocks, or None of none; what is nothing in one is zero beside the others."""
+def joined(columns: list[Column]) -> Column:
+    """One Column of several over the same blocks; what is nothing in one is zero beside the others. Raises ValueError for none"""
     if not columns:
-        return None
-    parts = []
+        raise ValueError("there is nothing to join")
+    parts: list[np.ndarray | None] = []
     for n in range(len(columns[0].parts)):
-        rows = next((c.parts[n].shape[0] for c in columns if c.parts[n] is not None), None)
+        own = [c.parts[n] for c in columns]
+        rows = next((part.shape[0] for part in own if part is not None), None)
         parts.append(None if rows is None else
-                     np.column_stack([np.zeros((rows, c.count)) if c.parts[n] is None else c.parts[n] for c in columns]))
+                     np.column_stack([np.zeros((rows, c.count)) if part is None else part for c, part in zip(columns, own)]))
     shape = next((c.inner.shape[:2] for c in columns if c.inner is not None), None)
-    inner = None if shape is None else np.concatenate([np.zeros((*shape, c.count)) if c.inner is None else c.inner for c in columns], axis=2)
+    if shape is None:
+        return Column(tuple(parts))
+    inner = np.concatenate([c.inner if c.inner is not None else np.zeros((*shape, c.count)) for c in columns], axis=2)
     return Column(tuple(parts), inner)
 
 

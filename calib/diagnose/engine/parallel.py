@@ -40,5 +40,7 @@ def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Pro
 
 
 def _call(i: int) -> Any:
+    if _inherited is None:
+        raise RuntimeError("this process was not forked by parallel_map")
     function, things = _inherited
     return function(things[i])

@@ -6,7 +6,7 @@ A Fit is all that is admitted at its best; a Model is what it leaves, linear, wi
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeVar
 
-from calib.diagnose.engine.candidates import Candidate
+from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
@@ -25,16 +25,21 @@ class Wald(NamedTuple):
     freedom: float
 
 
-class Problem(Protocol[Fit, Model]):
-    """A recording to be explained. policy : its thresholds; candidates : all that it is asked for."""
+class Problem(Protocol[Fit, Model, C]):
+    """A recording to be explained."""
 
-    policy: SelectionPolicy
-    candidates: list[Candidate]
+    @property
+    def policy(self) -> SelectionPolicy:
+        """Its thresholds."""
+
+    @property
+    def candidates(self) -> list[C]:
+        """All that it is asked for."""
 
     def start(self) -> Fit:
         """The Fit with nothing admitted."""
 
-    def terms(self, fit: Fit) -> list[Candidate]:
+    def terms(self, fit: Fit) -> list[C]:
         """The admitted candidates, in order."""
 
     def size(self, fit: Fit) -> int:
@@ -52,25 +57,25 @@ class Problem(Protocol[Fit, Model]):
     def linear(self, model: Model) -> LinearModel:
         """The LinearModel that a Model stands for."""
 
-    def open(self, fit: Fit) -> list[Candidate]:
+    def open(self, fit: Fit) -> list[C]:
         """The candidates that may still be admitted."""
 
-    def search(self, model: Model, candidates: list[Candidate], least: float, progress: Callable[[int, int], None] | None) -> list[Score]:
+    def search(self, model: Model, candidates: list[C], least: float, progress: Callable[[int, int], None] | None) -> list[Score[C]]:
         """Scores by raw delta BIC, the greatest first; those below `least` may be missing."""
 
-    def rescored(self, model: Model, fit: Fit, number: int) -> Score:
+    def rescored(self, model: Model, fit: Fit, number: int) -> Score[C]:
         """The Score of an admitted term on a model without it."""
 
-    def aliases(self, model: Model, own: Score, score: Score) -> list[Score]:
+    def aliases(self, model: Model, own: Score[C], score: Score[C]) -> list[Score[C]]:
         """Other nodes of the candidate of `own` (scored as `score`) that are another hypothesis than its best one."""
 
-    def column(self, model: Model, score: Score) -> Column:
+    def column(self, model: Model, score: Score[C]) -> Column:
         """Column (1) of what a Score's candidate does as scanned."""
 
-    def add_term(self, fit: Fit, score: Score) -> Fit:
+    def add_term(self, fit: Fit, score: Score[C]) -> Fit:
         """The Fit with one term more, the last."""
 
-    def companion(self, fit: Fit, score: Score) -> Score | None:
+    def companion(self, fit: Fit, score: Score[C]) -> Score[C] | None:
         """A Score of another place anew, now that others are admitted; None where it has gone."""
 
     def remove_term(self, fit: Fit, number: int) -> Fit:
@@ -79,13 +84,13 @@ class Problem(Protocol[Fit, Model]):
     def in_place(self, fit: Fit, number: int) -> Fit:
         """The Fit with its last term moved to a number."""
 
-    def finer(self, fit: Fit, trial: Fit, score: Score, scores: list[Score]) -> Fit:
+    def finer(self, fit: Fit, trial: Fit, score: Score[C], scores: list[Score[C]]) -> Fit:
         """`trial`, which is `fit` with a Score's term, or a better variant of that term among scores."""
 
     def refined(self, fit: Fit) -> Fit:
         """The Fit with terms' nonlinear parameters at their best now that others are admitted."""
 
-    def simplified(self, fit: Fit) -> Fit:
+    def simplified(self, fit: Fit, /) -> Fit:
         """The Fit with special cases in place of general ones that do no better, and one general one in place of many special."""
 
     def wald(self, fit: Fit, number: int) -> Wald:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Candidate, Node, Role, UsualRange
+from calib.diagnose.engine.candidates import C, Node, Role, UsualRange
 from calib.diagnose.engine.chance import davies, dispersion
 from calib.diagnose.engine.linear import LinearModel
 from calib.diagnose.engine.products import FrameProducts, Solved, framewise
@@ -15,7 +16,7 @@ WRONG_SIGN = 12.0  # minus twice the logarithm of the chance that a parameter ha
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Score:
+class Score(Generic[C]):
     """The best of a candidate's grid. node : of it; coefficients : (q,)
 
     delta_chi2 : by which the whitened sum of squares falls, dispersion allowed for; p_value : of the grid's greatest delta
@@ -23,7 +24,7 @@ class Score:
     curve : delta over the grid; values : {name: number} of what `candidate.usual` speaks of
     """
 
-    candidate: Candidate
+    candidate: C
     node: Node
     coefficients: np.ndarray
     delta_chi2: float
@@ -67,17 +68,17 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alternative:
+class Alternative(Generic[C]):
     """score : of a hypothesis in place of a finding; behind : how much less likely it is, as minus twice a logarithm
     cosine : between what the two do, nuisances taken out"""
 
-    score: Score
+    score: Score[C]
     behind: float
     cosine: float
 
 
-def best_of(model: LinearModel, candidate: Candidate, solved: Solved, products: FrameProducts,
-            weights_at: Callable[[int], np.ndarray], cluster: int = 1) -> Score:
+def best_of(model: LinearModel, candidate: C, solved: Solved, products: FrameProducts,
+            weights_at: Callable[[int], np.ndarray], cluster: int = 1) -> Score[C]:
     """Score of the best node of a candidate's grid.
 
     solved : Solved, one for each node; weights_at : a function of the best node's index, its weights (F, a, q)
@@ -86,8 +87,8 @@ def best_of(model: LinearModel, candidate: Candidate, solved: Solved, products: 
     return at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best), cluster)
 
 
-def at_node(model: LinearModel, candidate: Candidate, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,
-            cluster: int = 1) -> Score:
+def at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,
+            cluster: int = 1) -> Score[C]:
     """Score of one node, the `best` of those solved. weights : (F, a, q) there"""
     coefficients, rank, deltas = solved.coefficients[best], solved.rank[best], solved.delta_chi2
     allowed = candidate.allowed(coefficients)

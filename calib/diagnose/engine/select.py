@@ -6,7 +6,7 @@ from typing import Any, Generic
 import numpy as np
 
 from calib.diagnose.engine.alternatives import alike, alternatives_of, refitted
-from calib.diagnose.engine.candidates import Candidate
+from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.engine.problem import Fit, Model, Problem, Progress
@@ -17,25 +17,25 @@ RESTARTS = 2  # times the most terms that there may be, after which terms are co
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Finding:
+class Finding(Generic[C]):
     """number : of the term among the admitted; score : with all others admitted; alternatives : that the recording cannot tell from it"""
 
     number: int
-    score: Score
-    alternatives: list[Alternative]
+    score: Score[C]
+    alternatives: list[Alternative[C]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Selection(Generic[Fit]):
+class Selection(Generic[Fit, C]):
     """before : Fit with nothing admitted; fit : with all; findings : in the order of their weight; asked : how many candidates were"""
 
     before: Fit
     fit: Fit
-    findings: list[Finding]
+    findings: list[Finding[C]]
     asked: int
 
 
-def convincing(score: Score, count: int, size: int, policy: SelectionPolicy) -> bool:
+def convincing(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
     """Whether a Score is a finding: too good for chance over all candidates, and worth its parameters."""
     return score.p_value * count <= policy.alpha and score.delta_bic(size) >= policy.delta_bic
 
@@ -45,7 +45,7 @@ def labelled(progress: Progress | None, label: str) -> Any:
     return None if progress is None else lambda done, of: progress(label, done, of)
 
 
-def select(problem: Problem[Fit, Model], progress: Progress | None = None) -> Selection[Fit]:
+def select(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
     fit = pay(problem, problem.simplified(_forward(problem, before, progress)))
@@ -53,16 +53,16 @@ def select(problem: Problem[Fit, Model], progress: Progress | None = None) -> Se
     return Selection(before, fit, findings, len(problem.candidates))
 
 
-def choose(problem: Problem[Fit, Model], progress: Progress | None = None) -> Fit:
+def choose(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
     """The Fit that `select` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
     return pay(problem, problem.simplified(_forward(problem, problem.start(), progress)))
 
 
-def _forward(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) -> Fit:
+def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit:
     """The Fit with terms admitted step by step; after each step, those that others have made needless go again."""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple] = set()
-    refused: list[Candidate] = []
+    refused: list[C] = []
     while len(problem.terms(fit)) < policy.most:
         model, size, admitted = problem.residual(fit), problem.size(fit), len(problem.terms(fit))
         label = f"searching beside {admitted} effects" if admitted else "searching"
@@ -81,7 +81,7 @@ def _forward(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) 
     return fit
 
 
-def _hidden(problem: Problem[Fit, Model], fit: Fit, model: Model, scores: list[Score]) -> list[Score]:
+def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:
     """Of the first few that a scan finds promising and not convincing, those that convince once fitted, the most convincing first: what is not
     admitted yet counts as its own axis' scatter, and the strongest hides itself most."""
     policy, linear = problem.policy, problem.linear(model)
@@ -91,7 +91,7 @@ def _hidden(problem: Problem[Fit, Model], fit: Fit, model: Model, scores: list[S
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def sharpened(score: Score, ratio: float, frames: int) -> Score:
+def sharpened(score: Score[C], ratio: float, frames: int) -> Score[C]:
     """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best with and without
     (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's factor."""
     delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
@@ -100,13 +100,14 @@ def sharpened(score: Score, ratio: float, frames: int) -> Score:
     return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
 
 
-def key(score: Score) -> tuple:
+def key(score: Score[C]) -> tuple:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(sorted((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()))
     return score.candidate.name, score.candidate.place, node
 
 
-def _step(problem: Problem[Fit, Model], fit: Fit, promising: list[Score], scores: list[Score], refused: list[Candidate]) -> tuple[Fit, Score] | None:
+def _step(problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], scores: list[Score[C]],
+          refused: list[C]) -> tuple[Fit, Score[C]] | None:
     """(Fit, Score) with the first of the promising that predicts stretches held out; None where none of the first few does."""
     least = problem.policy.forward_gain
     for best in promising[: problem.policy.tried]:
@@ -117,7 +118,7 @@ def _step(problem: Problem[Fit, Model], fit: Fit, promising: list[Score], scores
     return None
 
 
-def _companions(problem: Problem[Fit, Model], fit: Fit, best: Score, promising: list[Score], taken: set[tuple], size: int) -> Fit:
+def _companions(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int) -> Fit:
     """The Fit with what other places show nearly as strongly, each asked again with the ones before it admitted."""
     policy, places = problem.policy, {best.candidate.place}
     for score in promising:
@@ -132,7 +133,7 @@ def _companions(problem: Problem[Fit, Model], fit: Fit, best: Score, promising: 
     return fit
 
 
-def _smooth_beyond(problem: Problem[Fit, Model], model: Model, best: Score) -> bool:
+def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]) -> bool:
     """Whether something that no name explains is larger than what the best name would."""
     if not np.isfinite(problem.policy.smooth_beyond):
         return False
@@ -140,7 +141,7 @@ def _smooth_beyond(problem: Problem[Fit, Model], model: Model, best: Score) -> b
     return any(u.delta_bic(size) > problem.policy.smooth_beyond * best.delta_bic(size) for u in problem.lack_of_fit(model) if u.dispersion)
 
 
-def prune(problem: Problem[Fit, Model], fit: Fit) -> Fit:
+def prune(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that the others have made needless."""
     while problem.terms(fit):
         gains = []
@@ -154,7 +155,7 @@ def prune(problem: Problem[Fit, Model], fit: Fit) -> Fit:
     return fit
 
 
-def pay(problem: Problem[Fit, Model], fit: Fit) -> Fit:
+def pay(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
     least = problem.policy.final_gain
     while least is not None and problem.terms(fit):
@@ -166,11 +167,11 @@ def pay(problem: Problem[Fit, Model], fit: Fit) -> Fit:
     return fit
 
 
-def _confirm(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding]]:
+def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> tuple[Fit, list[Finding[C]]]:
     """Each term against all candidates with the others admitted: gone where it does not stand, replaced where another does better, its
     alternatives listed."""
     policy, count = problem.policy, len(problem.candidates)
-    findings: list[Finding] = []
+    findings: list[Finding[C]] = []
     for _ in range(RESTARTS * policy.most):
         number = len(findings)
         if number == len(problem.terms(fit)):
@@ -194,7 +195,7 @@ def _confirm(problem: Problem[Fit, Model], fit: Fit, progress: Progress | None) 
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
 
 
-def _outdone(problem: Problem[Fit, Model], model: Model, score: Score) -> bool:
+def _outdone(problem: Problem[Fit, Model, C], model: Model, score: Score[C]) -> bool:
     """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show,
     or the place is another."""
     if score.candidate.vector:
@@ -205,7 +206,7 @@ def _outdone(problem: Problem[Fit, Model], model: Model, score: Score) -> bool:
     return bool(smooth) and max(smooth) > score.evidence(size) + problem.policy.alike
 
 
-def supported(problem: Problem[Fit, Model], selection: Selection[Fit], left: list[LackOfFit]) -> Selection[Fit]:
+def supported(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
     """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
     as well, or which explain less than they leave at their place."""
     fit, gone = selection.fit, []
@@ -222,6 +223,6 @@ def supported(problem: Problem[Fit, Model], selection: Selection[Fit], left: lis
     return replace(selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept])
 
 
-def stands(problem: Problem[Fit, Model], finding: Finding, model: Model, fit: Fit, count: int) -> bool:
+def stands(problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int) -> bool:
     """Whether a Finding convinces on a model without it, of so many candidates asked."""
     return convincing(problem.rescored(model, fit, finding.number), count, problem.linear(model).size, problem.policy)

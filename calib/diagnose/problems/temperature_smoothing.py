@@ -23,8 +23,8 @@ def smoothed(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndar
     """
     if sensors is None:
         return None, {}
-    courses = {name: _smooth(sensors.t, values) for name, values in sensors.channels.items() if name.endswith("temperature_C")}
-    courses = {name: found for name, found in courses.items() if found is not None}
+    tried = {name: _smooth(sensors.t, values) for name, values in sensors.channels.items() if name.endswith("temperature_C")}
+    courses = {name: found for name, found in tried.items() if found is not None}
     channels = {**sensors.channels, **{name: curve for name, (curve, _) in courses.items()}}
     return replace(sensors, channels=channels), {name: errors for name, (_, errors) in courses.items()}
 
@@ -34,7 +34,7 @@ def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] 
     counts = [count for count in KNOTS if count * ROWS + ROWS <= len(t)]
     if len(counts) < 2 or (np.diff(t) <= 0).any() or np.ptp(values) == 0:
         return None
-    best = None
+    best: tuple[float, int, np.ndarray, np.ndarray] | None = None
     for count in counts:
         inner = np.interp(np.linspace(0, len(t) - 1, count + 1)[1:-1], np.arange(len(t)), t)
         basis = BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray()
@@ -43,6 +43,8 @@ def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] 
         criterion = len(t) * np.log(np.mean(noise**2) + 1e-300) + Q.shape[1] * np.log(len(t))
         if best is None or criterion < best[0]:
             best = criterion, count, noise, Q
+    if best is None:
+        return None
     _, count, noise, Q = best
     follows = abs(noise[1:] @ noise[:-1]) > ALIKE / np.sqrt(len(t)) * (noise @ noise)
     wild = np.abs(noise).max() > FAR * np.median(np.abs(noise))

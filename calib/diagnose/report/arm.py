@@ -47,7 +47,7 @@ def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
 
 def floor(d: ArmDiagnosis) -> float:
     """m, mean position error that no model can be below: that of commands given twice or, without any, the instrument's own."""
-    return noise(d)["pose_m"] if d.repeats is None else d.repeats.mean
+    return _by_length(d.arms.own, slice(0, 3)) if d.repeats is None else d.repeats.mean
 
 
 def mean(left: np.ndarray) -> float:
@@ -73,8 +73,12 @@ def reach(held: HeldOutPoses) -> dict[str, Any]:
 def noise(d: ArmDiagnosis) -> dict[str, float | None]:
     """{corner_px, pose_m, pose_rad, strut_m}: the instrument's own standard uncertainty of a position and rotation, by length."""
     own = d.arms.own
-    length = [float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6))]
-    return {"corner_px": None, "pose_m": length[0], "pose_rad": length[1] or None, "strut_m": None}
+    return {"corner_px": None, "pose_m": _by_length(own, slice(0, 3)), "pose_rad": _by_length(own, slice(3, 6)) or None, "strut_m": None}
+
+
+def _by_length(own: np.ndarray, part: slice) -> float:
+    """Standard uncertainty by length, of part of what was measured with covariances (n, k, k)."""
+    return float(np.sqrt(np.trace(own[:, part, part], axis1=1, axis2=2).mean()))
 
 
 def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:

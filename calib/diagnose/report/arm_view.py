@@ -32,7 +32,8 @@ class ArmView:
 
     def where(self, places: list[str]) -> Figure:
         """The arm in outline, joints marked."""
-        d, moved = self.diagnosis, {}
+        d = self.diagnosis
+        moved: dict[int, dict[str, float]] = {}
         for number, term in enumerate(d.fit.terms):
             if term.candidate.joint is not None:
                 here = moved.setdefault(term.candidate.joint, {})
@@ -50,7 +51,7 @@ class ArmView:
         a = (fit.W @ d.arms.directions(joint))[..., 0]
         rest = (a * fit.y).sum(axis=1) / np.maximum((a * a).sum(axis=1), 1e-300)
         moved = fit.part(number) - fit.part(number)[fit.used].mean()
-        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.motion)
+        covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
         return scatter(x[fit.used], covariate.label, both, f"joint {joint + 1}, µrad")

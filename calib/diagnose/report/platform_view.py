@@ -54,7 +54,7 @@ class PlatformView:
             if kind == "strut":
                 parts += [f"<p class=note>{f.place}</p>", over_time(k.t, struts[:, int(name) - 1] * 1e6, "strut, µm")]
             elif kind == "camera":
-                own = np.flatnonzero(k.seen.observations.camera == [c.name for c in k.design.cameras].index(name))
+                own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
                 parts.append(residual_map(k, own, (corners,), ("what is left",)))
         return parts
 
@@ -62,7 +62,7 @@ class PlatformView:
         """Where poses came from, and how much there is."""
         k, rec = self.diagnosis.selection.fit.refined.point, self.recording
         return [("poses from", self.diagnosis.source), ("frames", f"{len(k.t)} of {len(rec.exposures.times()[0])}"),
-                ("time", f"{np.ptp(k.t) / 60:.1f} min"), ("corners", len(k.seen.observations) if k.seen is not None else "none"),
+                ("time", f"{np.ptp(k.t) / 60:.1f} min"), ("corners", len(k.observed.observations) if k.seen is not None else "none"),
                 ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none")]
 
 
@@ -96,7 +96,7 @@ def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> Figure:
 
 def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:
     k = model.point
-    o, sigma = k.seen.observations, model.corner_noise()
+    o, sigma = k.observed.observations, model.corner_noise()
     present = np.unique(o.camera)
     off = [np.clip(o.uv - at.pixels(), -FAR * sigma, FAR * sigma) for at in (before.point, k)]
     first, last = (np.array([np.sqrt(np.mean(v[o.camera == i] ** 2)) for i in present]) for v in off)

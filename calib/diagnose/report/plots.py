@@ -66,7 +66,7 @@ def diagnostic_plot(refined: Refined, number: int) -> Figure:
 
 def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
     """Mean residuals of each picture along the way that the effect moves it most."""
-    frame = k.seen.observations.frame[own]
+    frame = k.observed.observations.frame[own]
     along = _mean(frame, before[own] - after[own])
     way = along[np.argmax(np.linalg.norm(along, axis=1))]
     way = way / max(np.linalg.norm(way), 1e-12)
@@ -89,13 +89,13 @@ def _strut_view(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np
 
 def _own(effect: Effect, k: OperatingPoint) -> np.ndarray:
     """Indices of the corners at an effect's place."""
-    o, (kind, _, name) = k.seen.observations, effect.place.partition(" ")
+    o, (kind, _, name) = k.observed.observations, effect.place.partition(" ")
     if kind == "camera":
         return np.flatnonzero(o.camera == [c.name for c in k.design.cameras].index(name))
     if kind == "marker":
-        return np.flatnonzero(k.seen.markers.id[o.marker] == int(name))
+        return np.flatnonzero(k.observed.markers.id[o.marker] == int(name))
     if kind == "target":
-        return np.flatnonzero(np.array(k.seen.markers.target)[o.marker] == name)
+        return np.flatnonzero(np.array(k.observed.markers.target)[o.marker] == name)
     return np.arange(len(o))
 
 
@@ -109,22 +109,22 @@ def _mean(key: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
     """Scale of each picture about its centre against temperature."""
-    o = k.seen.observations
+    o = k.observed.observations
     matrix = np.stack([c.matrix[:2, 2] for c in k.design.cameras])
     away = o.uv[own] - matrix[o.camera[own]]
     key = o.frame[own] * len(matrix) + o.camera[own]
     keys, first = np.unique(key, return_index=True)
     scale = [_mean(key, np.einsum("ni,ni->n", v[own], away)) / np.maximum(_mean(key, (away**2).sum(axis=1)), 1e-12) * 1e6 for v in (before, after)]
     camera = [c.name for c in k.design.cameras]
-    warmth = np.stack([k.sensors.at(k.t, f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
+    warmth = np.stack([k.logged(f"camera_{name}_temperature_C", "ambient_temperature_C") for name in camera])
     x = warmth[o.camera[own][first], o.frame[own][first]]
     return scatter(x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6")
 
 
 def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
     """How far corners lie outward of their marker's middle against its size in the image."""
-    o = k.seen.observations
-    row = k.seen.row[own]
+    o = k.observed.observations
+    row = k.observed.row[own]
     middle = _mean(row, o.uv[own])
     _, index = np.unique(row, return_inverse=True)
     away = o.uv[own] - middle[index]
@@ -135,9 +135,9 @@ def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.n
 
 def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> Figure:
     """Residuals of every marker or target of the same body."""
-    o = k.seen.observations
+    o = k.observed.observations
     by_target = effect.view == "targets"
-    names = np.array(k.seen.markers.target if by_target else [str(i) for i in k.seen.markers.id])[o.marker]
+    names = np.array(k.observed.markers.target if by_target else [str(i) for i in k.observed.markers.id])[o.marker]
     labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
     figure = Figure(figsize=(11, 2.6), layout="constrained")
     axes = figure.subplots()
@@ -155,7 +155,7 @@ def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarr
 
 def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...], titles: tuple[str, ...] = ("without it", "with it")) -> Figure:
     """Figure of mean residuals over patches of one camera's image, one panel for each of `both` (n, 2) px."""
-    o = k.seen.observations
+    o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
     key = (o.uv[own] // cell).astype(int) @ [1, 1000]

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from rig.design import Camera
+from rig.design import Camera, Hexapod, Planar2
 from rig.pose import transform_points
 from vision.targets import marker_map
 
@@ -26,7 +26,11 @@ def schematic(point: OperatingPoint, places: list[str]) -> Figure:
     axes = figure.subplots()
     T = k.T.mean()
     colour = _colours(places)
-    {"hexapod": _hexapod, "planar2": _planar}.get(k.design.mechanism.kind, lambda *_: None)(axes, k, T, colour)
+    m = k.design.mechanism
+    if isinstance(m, Hexapod):
+        _hexapod(axes, m, T, colour)
+    elif isinstance(m, Planar2):
+        _planar(axes, m, T, colour)
     if k.design.targets:
         _targets(axes, k, T, colour)
     for camera in k.design.cameras if k.seen is not None else ():
@@ -61,12 +65,11 @@ def _line(axes: Axes, points: Any, colour: str, **more: Any) -> None:
 
 
 def _label(axes: Axes, point: np.ndarray, text: str, colour: str) -> None:
-    axes.annotate(text, _flat(np.asarray(point, float)), color="black" if colour == PLAIN else colour, fontsize=8, ha="center", va="center",
+    axes.annotate(text, tuple(_flat(np.asarray(point, float))), color="black" if colour == PLAIN else colour, fontsize=8, ha="center", va="center",
                   fontweight="normal" if colour == PLAIN else "bold", zorder=5, bbox={"fc": "white", "ec": "none", "pad": 0.6, "alpha": 0.8})
 
 
-def _hexapod(axes: Axes, k: OperatingPoint, T: RigidTransform, colour: Callable[..., str]) -> None:
-    m = k.design.mechanism
+def _hexapod(axes: Axes, m: Hexapod, T: RigidTransform, colour: Callable[..., str]) -> None:
     tops = transform_points(T, m.platform_joints)
     for joints, name in ((m.base_joints, "base"), (tops, "platform")):
         around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
@@ -78,8 +81,8 @@ def _hexapod(axes: Axes, k: OperatingPoint, T: RigidTransform, colour: Callable[
         _label(axes, 0.62 * m.base_joints[i] + 0.38 * tops[i], str(i + 1), c)
 
 
-def _planar(axes: Axes, k: OperatingPoint, T: RigidTransform, colour: Callable[..., str]) -> None:
-    for i, joint in enumerate(k.design.mechanism.base_joints):
+def _planar(axes: Axes, m: Planar2, T: RigidTransform, colour: Callable[..., str]) -> None:
+    for i, joint in enumerate(m.base_joints):
         c = colour(f"strut {i + 1}", "rig")
         _line(axes, [np.r_[joint, 0], T.translation], c)
         _label(axes, (np.r_[joint, 0] + T.translation) / 2, str(i + 1), c)

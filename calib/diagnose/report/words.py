@@ -34,7 +34,7 @@ def size(finding: FindingEntry | RemarkEntry) -> str:
             return f", {name.replace('_', ' ')} {number(p.value, p.unit)} (95 %: {low} to {high}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
             thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
-            return ", by " + " and ".join(number(np.linalg.norm(v), u) for v, u in zip(thirds, p.unit.split(", ")))
+            return ", by " + " and ".join(number(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
         if name == "profile" and len(p.value):
             return f", {number(np.sqrt(np.mean(np.square(p.value))), p.unit)} RMS"
     return ""
@@ -73,15 +73,17 @@ def held_out(fit: FitEntry, named: bool) -> str:
     return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to <b>{after}</b>{ratio} ({floor})."
 
 
-def chance(p: float) -> str:
+def chance(p: float | None) -> str:
     """A probability in words."""
+    if p is None:
+        return "not known"
     return "below 1 in a million" if p < CERTAIN else f"1 in {1 / p:.0f}"
 
 
 def how_sure(finding: FindingEntry) -> str:
     """The evidence of a finding in a sentence, empty where there is none."""
     e = finding.evidence
-    if e.delta_bic is None:
+    if e.delta_bic is None or e.p_value is None or e.heldout_before is None or e.heldout_after is None or e.unit is None:
         return ""
     errors = f" ({e.gain_sigma:.1f} standard errors)" if e.gain_sigma is not None and np.isfinite(e.gain_sigma) else ""
     said = [f"held out, {number(e.heldout_before, e.unit)} without it and {number(e.heldout_after, e.unit)} with it{errors}",

@@ -7,6 +7,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
+from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.asked import Asked
 from rig.effects import ALL
@@ -62,6 +63,9 @@ class JointCandidate(Candidate):
         return spec.effect(node, coefficients) if spec.linear else spec.kind(spec.place, **{next(iter(node)): float(coefficients[0])})
 
 
+JointScore = Score[JointCandidate]
+
+
 def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], list[NotAsked]]:
     """(candidates, what cannot be asked) of an arm's poses, of the catalogue as far as it is asked for."""
     out, skipped, sites = [], [], {}
@@ -96,7 +100,7 @@ def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCan
 
 
 def _candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
-    first, places = specs[0], arms.context.motion.places
+    first, places = specs[0], arms.context.moved().places
     joint = places.index(first.place) if first.place in places else None
     form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)
     positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
@@ -130,7 +134,7 @@ def _prior(spec: EffectCandidate) -> np.ndarray:
 
 def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> np.ndarray:
     """(n, a, q) of a node, see JointCandidate."""
-    motion = arms.context.motion
+    motion = arms.context.moved()
     if joint is None:
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
         moved = [arms.measured(spec.effect(node, unit).sway(motion)) / column.step for unit, column in zip(units, spec.linear)]

@@ -14,8 +14,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from calib.arms.scatter import beyond, bounded
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Block, Column, LinearModel
-from calib.diagnose.engine.score import Score
-from calib.diagnose.problems.arm.candidates import JointCandidate
+from calib.diagnose.problems.arm.candidates import JointCandidate, JointScore
 from calib.diagnose.problems.arm.columns import Columns, Part
 from calib.diagnose.problems.arm.poses import Arms
 
@@ -64,7 +63,7 @@ class Term:
         return Term(candidate, node, candidate.weights(node), candidate.prior(node))
 
     @staticmethod
-    def of(score: Score) -> "Term":
+    def of(score: JointScore) -> "Term":
         """Term of a Score, at its node."""
         return Term.at(score.candidate, score.node)
 

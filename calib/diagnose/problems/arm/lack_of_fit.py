@@ -36,7 +36,7 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
     others = np.delete(arms.q, j, axis=1)
     moves = np.sign(np.diff(arms.q[:, j], prepend=arms.q[0, j]))
     out = [("pose", np.concatenate([np.sin(others), np.cos(others)], axis=1)), ("time", _hats(arms.t)), ("history", moves[:, None])]
-    links = arms.context.motion.links()[:, j]
+    links = arms.context.moved().links()[:, j]
     turning = links[:, distinct(links)]
     if turning.shape[1]:
         out.append(("torque", np.sign(turning)))

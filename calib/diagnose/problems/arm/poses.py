@@ -9,9 +9,9 @@ from calib.arms.identify import Identified
 from calib.arms.observations import of_samples
 from calib.samples import Samples
 from rig import machine
-from rig.design import Design
+from rig.design import Arm, Design
 from rig.effects.base import Context, Effect
-from rig.errors import NotEnoughData
+from rig.errors import NotEnoughData, RigError
 from rig.recording import Commands, Sensors
 
 FEWEST = 60  # poses
@@ -59,10 +59,12 @@ def arms_of(samples: Samples, design: Design, commands: Commands | None = None, 
     """(Arms, Identified) of Samples: calibrated, and linear about it.
 
     design : whose mechanism is the nominal Arm; commands : the whole path; the samples' own commands in their order where None
-    Raises NotEnoughData for too few poses, and what calibrating raises
+    Raises NotEnoughData for too few poses, RigError for what is no arm, and what calibrating raises
     """
     if len(samples) < FEWEST:
         raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm; it takes {FEWEST}, better 500")
+    if not isinstance(design.mechanism, Arm):
+        raise RigError(f"this takes an arm, not a mechanism of kind {design.mechanism.kind!r}")
     _, found = calibrate(samples, design.mechanism, design.instrument, profiles=False)
     observations = of_samples(samples)
     freedoms = np.concatenate([observations.jacobian(found.arm)[..., found.free], observations.common], axis=2)

@@ -10,10 +10,9 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.policy import ARM, SelectionPolicy
 from calib.diagnose.engine.problem import Wald
-from calib.diagnose.engine.score import Score
 from calib.diagnose.engine.select import prune
 from calib.diagnose.problems.arm import lack_of_fit as remainder
-from calib.diagnose.problems.arm.candidates import JointCandidate
+from calib.diagnose.problems.arm.candidates import JointCandidate, JointScore
 from calib.diagnose.problems.arm.fit import Fit, Term, fit
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.arm.search import column_of, confined, search
@@ -58,13 +57,13 @@ class ArmProblem:
         return opened(fit, self.candidates)
 
     def search(self, model: Fit, candidates: list[JointCandidate], least: float = 0.0,
-               progress: Callable[[int, int], None] | None = None) -> list[Score]:
+               progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
         return search(model, candidates, least, self.policy.cluster, progress)
 
-    def rescored(self, model: Fit, fit: Fit, number: int) -> Score:
+    def rescored(self, model: Fit, fit: Fit, number: int) -> JointScore:
         return self.search(model, [fit.terms[number].only], -np.inf)[0]
 
-    def aliases(self, model: Fit, own: Score, score: Score) -> list[Score]:
+    def aliases(self, model: Fit, own: JointScore, score: JointScore) -> list[JointScore]:
         """Other orders of a sinusoid that explain as much, where commands stood on a lattice of angles."""
         candidate = score.candidate
         if not candidate.step:
@@ -74,13 +73,13 @@ class ArmProblem:
         best = sorted(peaks, key=lambda i: -c[i])[:ALIASES]
         return [other for i in best for other in self.search(model, [confined(candidate, [grid[i]])])]
 
-    def column(self, model: Fit, score: Score) -> Column:
+    def column(self, model: Fit, score: JointScore) -> Column:
         return column_of(model, score)
 
-    def add_term(self, fit: Fit, score: Score) -> Fit:
+    def add_term(self, fit: Fit, score: JointScore) -> Fit:
         return fit.with_terms([Term.of(score)])
 
-    def companion(self, fit: Fit, score: Score) -> Score | None:
+    def companion(self, fit: Fit, score: JointScore) -> JointScore | None:
         again = self.search(fit, [confined(score.candidate, [score.node])])
         return replace(again[0], candidate=score.candidate) if again else None
 
@@ -93,7 +92,7 @@ class ArmProblem:
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
         return fit(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
-    def finer(self, fit: Fit, trial: Fit, score: Score, scores: list[Score]) -> Fit:
+    def finer(self, fit: Fit, trial: Fit, score: JointScore, scores: list[JointScore]) -> Fit:
         return trial
 
     def refined(self, fit: Fit) -> Fit:

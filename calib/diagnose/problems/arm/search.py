@@ -9,9 +9,9 @@ import numpy as np
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
 from calib.diagnose.engine.products import FrameProducts, Normal, Solved, framewise, solve_with_prior
-from calib.diagnose.engine.score import Score, at_node
+from calib.diagnose.engine.score import at_node
 from calib.diagnose.engine.sinusoids import sums
-from calib.diagnose.problems.arm.candidates import Form, JointCandidate
+from calib.diagnose.problems.arm.candidates import Form, JointCandidate, JointScore
 from calib.diagnose.problems.arm.fit import Fit
 
 CHUNK = 96  # nodes at a time
@@ -24,7 +24,7 @@ SLOWEST = 0.05  # cycles per radian times 2 pi; a sinusoid of a lower order is a
 
 
 def search(fit: Fit, candidates: list[JointCandidate], least: float = 0.0, cluster: int = 1,
-           progress: Callable[[int, int], None] | None = None) -> list[Score]:
+           progress: Callable[[int, int], None] | None = None) -> list[JointScore]:
     """[Score] of all candidates, the greatest raw delta BIC first. least : raw delta BIC of those listed; progress : called with (done, of)"""
     known, out = {}, []
     for i, candidate in enumerate(candidates):
@@ -45,7 +45,7 @@ def joint_products(fit: Fit, joint: int | None) -> FrameProducts:
     return FrameProducts((turned @ fit.y[fit.used][..., None])[..., 0], turned @ A, fit.X.along(A), fit.inverse)
 
 
-def column_of(fit: Fit, score: Score) -> Column:
+def column_of(fit: Fit, score: JointScore) -> Column:
     """Column (1) of what a Score's candidate does as scanned, whitened, freedoms not yet taken out."""
     w = score.candidate.weights(score.node)[fit.used] @ score.coefficients
     return Column(((_directions(fit, score.candidate.joint) @ w[..., None]).reshape(-1, 1),))
@@ -56,7 +56,7 @@ def _directions(fit: Fit, joint: int | None) -> np.ndarray:
     return fit.W[fit.used] @ fit.arms.directions(joint)[fit.used]
 
 
-def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int) -> Score | None:
+def _score(fit: Fit, candidate: JointCandidate, products: FrameProducts, least: float, cluster: int) -> JointScore | None:
     log = np.log(fit.size)
     solved = solved_grid(fit, candidate, products, least)
     best = int(np.argmax(solved.delta_chi2 - solved.rank * log))

@@ -5,8 +5,9 @@ import numpy as np
 from calib.arms import model
 from calib.arms.identify import parameters
 from rig import machine
-from rig.design import Design
+from rig.design import Arm, Design
 from rig.effects.base import Effect
+from rig.errors import RigError
 from rig.pose import difference
 from rig.recording import Commands, Sensors
 
@@ -15,10 +16,12 @@ def strengths(true: Design, commands: Commands, t: np.ndarray, sigma: np.ndarray
     """(effects,) whitened length of what each effect does to all poses, the arm's parameters projected out.
 
     true : Design as it really is; commands, t (n,) s : what was commanded, and when it was measured; sensors : as they truly were
-    sigma : (2,) m and rad, or (1,) m where positions alone are measured
+    sigma : (2,) m and rad, or (1,) m where positions alone are measured. Raises RigError for what is no arm
     """
     whole = machine.run(true, commands, t, effects, sensors).T_base_platform
     arm, k = true.mechanism, 3 * len(sigma)
+    if not isinstance(arm, Arm):
+        raise RigError(f"this takes an arm, not a mechanism of kind {arm.kind!r}")
     q = machine.motion(true, commands, t, effects, sensors).lengths
     free = parameters(arm, "pose" if k == 6 else "position")
     J = model.parameter_jacobian(q, arm)[:, :k][..., free] / np.repeat(sigma, 3)[:, None]

@@ -6,6 +6,7 @@ from enum import Enum
 import numpy as np
 
 from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, UsualRange
+from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects import ALL
@@ -75,6 +76,9 @@ class PlatformCandidate(Candidate):
         return {u.name: getattr(effect, u.name) for u in self.usual or ()}
 
 
+PlatformScore = Score[PlatformCandidate]
+
+
 def seen_alone(kind: type[Effect] | Effect) -> bool:
     """Whether an effect changes only what is seen, and moves nothing."""
     return kind.stage in ("targets", "view")
@@ -89,7 +93,7 @@ def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[Platf
         try:
             sites[kind.name] = kind.sites(context)
             if kind.discrete:  # a face that nobody saw may have been exchanged as well
-                sites[kind.name] = tuple(f"marker {number}" for number in point.seen.markers.id)
+                sites[kind.name] = tuple(f"marker {number}" for number in point.observed.markers.id)
                 continue
             for place in sites[kind.name]:
                 if asked.place(kind.name, place):
@@ -104,9 +108,9 @@ def context_of(point: OperatingPoint) -> Context:
     """The effects' Context of an OperatingPoint."""
     k, seen = point, {}
     if k.seen is not None:
-        rows, markers = np.unique(k.seen.observations.marker), k.seen.markers
+        rows, markers = np.unique(k.observed.observations.marker), k.observed.markers
         targets = {markers.target[m] for m in rows}
-        seen = {"cameras": tuple(k.design.cameras[i].name for i in np.unique(k.seen.observations.camera)),
+        seen = {"cameras": tuple(k.design.cameras[i].name for i in np.unique(k.observed.observations.camera)),
                 "markers": tuple(int(markers.id[m]) for m in rows), "targets": tuple(t.name for t in k.stated.targets if t.name in targets)}
     return Context(k.stated, k.t, k.sensors, k.motion(()) if k.axes else None, moving=tuple(k.design.cameras[i].name for i in k.moving), **seen)
 
@@ -132,5 +136,5 @@ def bounds_of(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
             ends.append((1 / high if high else np.inf, 1 / low if low > 0 else np.inf))
         else:
             ends.append(by[column.name].bounds)
-    low, high = np.array(ends, float).reshape(-1, 2).T
-    return low, high
+    both = np.array(ends, float).reshape(-1, 2)
+    return both[:, 0], both[:, 1]

@@ -52,12 +52,12 @@ class Coordinate:
 
     def written(self, effect: Effect, value: float) -> Effect:
         """The effect with the coordinate at a value within its bounds; what rounding takes over them is taken back."""
-        value = float(np.clip(self.parameter(value), *self.bounds))
-        if self.index is not None:
-            vector = list(getattr(effect, self.name))
-            vector[self.index] = value
-            value = tuple(vector)
-        return replace(effect, **{self.name: value})
+        number = float(np.clip(self.parameter(value), *self.bounds))
+        if self.index is None:
+            return replace(effect, **{self.name: number})
+        vector = list(getattr(effect, self.name))
+        vector[self.index] = number
+        return replace(effect, **{self.name: tuple(vector)})
 
     def at_bound(self, effect: Effect) -> float | None:
         """The bound that the parameter of an effect stands at, or None."""
@@ -116,7 +116,7 @@ def tangents(model: LinearisedModel, sensitivities: Sensitivities) -> tuple[list
                 parts.append(model.fold(((k.pixels(both[0]) - k.pixels(both[1])) / apart)[..., None]))
             else:
                 parts.append(model.lengthened(((k.effective(both[0]) - k.effective(both[1])) / apart)[..., None]))
-    return coordinates, joined(parts)
+    return coordinates, joined(parts) if parts else None
 
 
 def _ends(c: Coordinate, effect: Effect) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """Corners at an operating point: whitened residuals and derivatives frame by frame, and what standing corners repeat."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +57,7 @@ class _Nuisances:
 
 def corner_rows(k: OperatingPoint) -> CornerRows:
     """CornerRows of an OperatingPoint that has seen corners."""
-    o = k.seen.observations
+    o = k.observed.observations
     n, L = len(o), 6 + 6 * len(k.moving)
     weights = _weights(o, k)
     whitener = np.linalg.inv(np.linalg.cholesky(weights))
@@ -80,19 +81,19 @@ def corner_rows(k: OperatingPoint) -> CornerRows:
     _add_finder(k, found, at, whitener)
     table, start = np.zeros((n, 2, 1 + len(found.names))), 1
     table[:, :, 0] = rho[order]
-    for rows, block in found.shared:
-        table[rows, :, start : start + block.shape[2]] = block
+    for at_rows, block in found.shared:
+        table[at_rows, :, start : start + block.shape[2]] = block
         start += block.shape[2]
     local, to_local = _own_basis(J_local.reshape(2 * n, L), edges)
-    own = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
-    return CornerRows(order, edges, whitener[order], table.reshape(2 * n, -1), own, local, to_local, found.names, found.priors,
+    stated = np.repeat((weights[order] == o.covariance[order]).all(axis=(1, 2)), 2)
+    return CornerRows(order, edges, whitener[order], table.reshape(2 * n, -1), stated, local, to_local, found.names, found.priors,
                       found.camera_columns)
 
 
 def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
     """Add each camera's bias of edges that small that it is the corner finder's own. at : (n,) rows of corners; whitener : (n, 2, 2)"""
-    seen = k.seen
-    o, quads = seen.observations, k.pixels(rows=slice(None))
+    seen = k.observed
+    o, quads = seen.observations, k.pixels(rows=np.arange(len(seen.sightings.frame)))
     for i in sorted(found.camera_columns):
         camera, seen_by = k.stated.cameras[i], seen.sightings.camera == i
         moved = np.zeros_like(quads)
@@ -114,7 +115,7 @@ def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     return local, to_local
 
 
-def edges_of(names: tuple[tuple[str, str], ...], design: Design) -> list[tuple[int, int]]:
+def edges_of(names: Sequence[tuple[str, str | int]], design: Design) -> list[tuple[int, int]]:
     """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
@@ -147,7 +148,7 @@ def standing(point: OperatingPoint) -> float:
     k = point
     if k.seen is None:
         return 0.0
-    o = k.seen.observations
+    o = k.observed.observations
     rows, index, count = _standing(o, k.moving)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:

@@ -9,14 +9,14 @@ from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem import Progress
-from calib.diagnose.engine.select import Selection, select, supported
+from calib.diagnose.engine.select import select, supported
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.heldout import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
-from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
 from calib.certify.calibration import Calibration
@@ -49,7 +49,7 @@ class PlatformDiagnosis:
     source: str
     swapped: list[MarkerSwap]
     moved: list[Move]
-    selection: Selection[PlatformFit]
+    selection: PlatformSelection
     cross_validations: list[CrossValidation]
     fits: dict[str, CrossValidation]
     left: list[LackOfFit]

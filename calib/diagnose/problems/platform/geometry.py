@@ -7,10 +7,11 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, with_parameters
 from rig.design import Hexapod, Planar2
+from rig.mechanisms import hexapod, planar
 
 Platform = Hexapod | Planar2
 
-__all__ = ["PRIOR", "Platform", "closure_jacobian", "count", "geometry", "moved_by"]
+__all__ = ["PRIOR", "Platform", "closure_jacobian", "count", "geometry", "moved_by", "pose_jacobian"]
 
 
 def count(mechanism: Platform) -> int:
@@ -31,6 +32,13 @@ def moved_by(mechanism: Platform, step: np.ndarray) -> Platform:
     if mechanism.kind == "hexapod":
         return with_parameters(mechanism, p)
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
+
+
+def pose_jacobian(T_base_platform: RigidTransform, mechanism: Platform) -> np.ndarray:
+    """(F, axes, 6) m/m and m/rad, change of the struts' lengths with the poses' tangents on the right."""
+    if mechanism.kind == "hexapod":
+        return hexapod.jacobian(T_base_platform, mechanism)
+    return planar.jacobian(T_base_platform, mechanism)
 
 
 def closure_jacobian(T_base_platform: RigidTransform, mechanism: Platform) -> np.ndarray:

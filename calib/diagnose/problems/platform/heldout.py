@@ -1,5 +1,7 @@
 """What a platform's effects are worth on stretches that they were not fitted to, in pixels of corners or metres of closures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.diagnose.engine.crossvalidate import CrossValidation, HeldOut, folds, held_out, summed_gain
@@ -29,17 +31,17 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     with_all = refined.marginalised
     after = held_out(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
-    bare = model.marginalise(refined.column.take(others)) if others else model
+    bare = model.marginalise(refined.column.take(others)) if others and refined.column is not None else model
     done = change(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts))
     return held_out(bare.linear, grown, fold), after, fold
 
 
-def change(model: LinearisedModel, effects: list[Effect]) -> Column:
+def change(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
     """Column (1) of what residuals grow by where only these effects are left."""
-    k, effects = model.point, tuple(effects)
-    out = model.lengthened((k.effective() - k.effective(effects))[..., None]) if k.axes else Column((None, model.nothing(1)))
-    return out if k.seen is None else out + model.fold((k.pixels() - k.pixels(effects))[..., None])
+    k, left = model.point, tuple(effects)
+    out = model.lengthened((k.effective() - k.effective(left))[..., None]) if k.axes else Column((None, model.nothing(1)))
+    return out if k.seen is None else out + model.fold((k.pixels() - k.pixels(left))[..., None])
 
 
 def _compared(model: LinearisedModel, before: HeldOut, after: HeldOut, blocks: tuple[int, ...]) -> tuple[CrossValidation, ...]:

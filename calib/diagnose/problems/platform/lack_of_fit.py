@@ -45,7 +45,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
         out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(norm.sf(alike / np.sqrt(len(k.t) - 1))), max(alike, 0.0)))
     scatter = model.closures.scatter
-    for i in np.flatnonzero(scatter > 0):
+    for i in np.flatnonzero(scatter > 0).tolist():
         noise = own[:, i].mean() - scatter[i] ** 2
         middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
         ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
@@ -57,7 +57,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
 def _cameras(model: LinearisedModel) -> list[LackOfFit | None]:
     k, out = model.point, []
     for i, camera in enumerate(k.design.cameras):
-        count = np.count_nonzero(k.seen.observations.camera == i)
+        count = np.count_nonzero(k.observed.observations.camera == i)
         if not count:
             continue
         place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
@@ -73,7 +73,7 @@ def _cameras(model: LinearisedModel) -> list[LackOfFit | None]:
 
 def _markers(model: LinearisedModel) -> list[LackOfFit | None]:
     k, out = model.point, []
-    ids, counts = np.unique(k.seen.markers.id[k.seen.sightings.marker], return_counts=True)
+    ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
     pixels = marker_pixels(k, ids)
     own = pixels.shape[2] // max(len(ids), 1)
     for j, (number, count) in enumerate(zip(ids, counts)):

@@ -11,10 +11,9 @@ import numpy as np
 
 from calib.diagnose.engine.linear import Block, Column, LinearModel, explicit, orthonormal
 from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
-from calib.diagnose.problems.platform.geometry import PRIOR, closure_jacobian, count, geometry
+from calib.diagnose.problems.platform.geometry import PRIOR, closure_jacobian, count, geometry, pose_jacobian
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.tolerances import FINDER
-from rig import mechanisms
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -130,7 +129,7 @@ class LinearisedModel:
         """px, standard deviation of a corner per axis, in the middle of all; 0 without corners."""
         if not len(self.corner_residual):
             return 0.0
-        return float(self.corners.sigma * np.sqrt(np.median(np.einsum("nii->n", self.point.seen.observations.covariance)) / 2))
+        return float(self.corners.sigma * np.sqrt(np.median(np.einsum("nii->n", self.point.observed.observations.covariance)) / 2))
 
 
 def linearise(point: OperatingPoint) -> LinearisedModel:
@@ -139,7 +138,8 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
     if k.seen is not None:
         rows = corner_rows(k)
         frames, table = _without_poses(k, rows)
-        names, priors, camera_columns = list(rows.names), list(rows.priors), rows.camera_columns
+        names: list[tuple[str, str | int]] = list(rows.names)
+        priors, camera_columns = list(rows.priors), rows.camera_columns
     else:
         F = len(k.t)
         frames = CornerFrames(np.zeros(0, int), np.zeros(F + 1, int), np.zeros((0, 2, 2)), np.zeros((0, 6)), np.tile(np.eye(6), (F, 1, 1)),
@@ -147,7 +147,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
     closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
     if k.axes:
-        p = count(k.design.mechanism)
+        p = count(k.platform)
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
@@ -155,7 +155,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
     if k.axes and k.known is not None:
         mechanism, root = k.known
-        beforehand[-len(root) :, 0] = root @ (geometry(mechanism) - geometry(k.design.mechanism))
+        beforehand[-len(root) :, 0] = root @ (geometry(mechanism) - geometry(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
     return _weighed(k, frames, table, closures, beforehand, tuple(names), camera_columns)
 
@@ -185,8 +185,8 @@ def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, n
 
 
 def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
-    m = k.design.mechanism
-    A = mechanisms.of(m).jacobian(k.T, m)
+    m = k.platform
+    A = pose_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
     covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
     inner = frames.inner

@@ -45,7 +45,7 @@ def exchanged(point: OperatingPoint, found: list[MarkerSwap]) -> OperatingPoint:
     """OperatingPoint whose markers sit where [MarkerSwap] say, so that all else is asked of them there."""
     if not found:
         return point
-    seen, markers = point.seen, point.seen.markers
+    seen, markers = point.observed, point.observed.markers
     for effect in found:
         markers = effect.attach(markers)
     o = seen.observations
@@ -55,7 +55,7 @@ def exchanged(point: OperatingPoint, found: list[MarkerSwap]) -> OperatingPoint:
 
 def _distance(point: OperatingPoint, effects: tuple[MarkerSwap, ...]) -> np.ndarray:
     """(sightings,) px, the middle corner's distance from where effects put it."""
-    seen = point.seen
+    seen = point.observed
     quads = see(seen.sightings, point.state, seen.markers, point.t, effects, point.sensors)
     error = np.linalg.norm(seen.observations.uv - quads[seen.row, seen.observations.corner], axis=1)
     total, count = np.bincount(seen.row, weights=error), np.bincount(seen.row)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.engine.problem import Progress
+from calib.diagnose.problems.platform.geometry import Platform, pose_jacobian
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
 from calib.certify.calibration import Calibration
@@ -78,13 +79,40 @@ class OperatingPoint:
         return State(self.design.cameras, self.T, self.moving)
 
     @property
+    def observed(self) -> Seen:
+        """What cameras saw. Raises ValueError where there are no corners"""
+        if self.seen is None:
+            raise ValueError("these poses come without corners")
+        return self.seen
+
+    def logged(self, *names: str) -> np.ndarray:
+        """(F,) values of the first of some sensor channels that there is. Raises RigError where there is none"""
+        if self.sensors is None:
+            raise RigError(f"this takes a sensor channel {' or '.join(map(repr, names))}, and there are no sensors")
+        return self.sensors.at(self.t, *names)
+
+    @property
+    def commanded(self) -> Commands:
+        """What was commanded. Raises RigError where nothing was"""
+        if self.commands is None:
+            raise RigError("nothing was commanded")
+        return self.commands
+
+    @property
+    def platform(self) -> Platform:
+        """The mechanism as estimated. Raises RigError for one that moves no platform on struts"""
+        if not isinstance(self.design.mechanism, Hexapod | Planar2):
+            raise RigError(f"a {self.design.mechanism.kind} has no struts")
+        return self.design.mechanism
+
+    @property
     def axes(self) -> int:
         """How many struts are commanded, 0 where nothing is."""
         return len(self.design.mechanism.axes) if self.commands is not None else 0
 
     def motion(self, effects: Iterable[Effect]) -> Motion:
         """Motion at the exposures under effects, at the measured poses."""
-        return replace(machine.motion(self.design, self.commands, self.t, effects, self.sensors), T=self.T)
+        return replace(machine.motion(self.design, self.commanded, self.t, effects, self.sensors), T=self.T)
 
     def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
@@ -96,8 +124,7 @@ class OperatingPoint:
 
     def swayed(self, sway: np.ndarray) -> np.ndarray:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        m = self.design.mechanism
-        return np.einsum("fij,fj->fi", mechanisms.of(m).jacobian(self.T, m), sway)
+        return np.einsum("fij,fj->fi", pose_jacobian(self.T, self.platform), sway)
 
     def closures(self) -> np.ndarray:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
@@ -110,13 +137,13 @@ class OperatingPoint:
         return machine.run(self.design, self.commands, self.t, [e for e in effects if e.stage != "view"], self.sensors, rates=True) \
             if rolls and self.commands is not None else None
 
-    def pixels(self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | slice | None = None, run: machine.Run | None = None) -> np.ndarray:
+    def pixels(self, effects: tuple[Effect, ...] | None = None, rows: np.ndarray | None = None, run: machine.Run | None = None) -> np.ndarray:
         """(n, 2) px where the observed corners should be under effects (those admitted, by default).
 
-        rows : sightings (mask or index) to which it is confined, then (k, 4, 2) px of those
+        rows : indices of sightings to which it is confined, then (k, 4, 2) px of those
         """
         effects = self.effects if effects is None else effects
-        seen = self.seen
+        seen = self.observed
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
         shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
@@ -143,6 +170,7 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
                        "rig calibrate says what its geometry leaves")
     known = None if calibration is None else _known(recording, calibration)
     if kind == "free" or recording.commands is None:
+        measured: Measurement | None
         measured, collected = measure_recording(recording, progress=progress, places=places if kind == "free" else "stated")
         source = "images" if collected is not None else "corners.csv"
     else:
@@ -174,7 +202,7 @@ def _seen(measured: Measurement, point: OperatingPoint) -> Seen:
     keep = np.isin(o.frames[o.frame], measured.frames)
     kept = o.take(keep)
     kept = replace(kept, frames=measured.frames, frame=np.searchsorted(measured.frames, kept.frames[kept.frame]))
-    return seen_of(kept, measured.adjustment.state.markers if measured.places_free else marker_map(point.stated))
+    return seen_of(kept, measured.adjustment.state.placed if measured.places_free else marker_map(point.stated))
 
 
 def within_reach(point: OperatingPoint) -> OperatingPoint:
@@ -194,8 +222,8 @@ def seen_of(observations: Observations, markers: MarkerMap) -> Seen:
     return Seen(observations, markers, sightings, row)
 
 
-def moved(point: OperatingPoint, cameras: list[Camera], mechanism: Hexapod | Planar2, local: np.ndarray) -> OperatingPoint:
-    """OperatingPoint with cameras and mechanism replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
+def moved(point: OperatingPoint, cameras: list[Camera], local: np.ndarray) -> OperatingPoint:
+    """OperatingPoint with cameras replaced and each frame's poses moved by local (F, 6 + 6 per moving camera) tangents."""
     moving = {i: T * exp(local[:, 6 + 6 * k : 12 + 6 * k]) for k, (i, T) in enumerate(sorted(point.moving.items()))}
-    return replace(point, design=replace(point.design, cameras=tuple(cameras), mechanism=mechanism),
+    return replace(point, design=replace(point.design, cameras=tuple(cameras)),
                    T=point.T * exp(local[:, :6]), moving=moving)

@@ -10,10 +10,10 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.policy import PLATFORM, SelectionPolicy
 from calib.diagnose.engine.problem import Wald
-from calib.diagnose.engine.score import Score
+from calib.diagnose.engine.select import Selection
 from calib.diagnose.problems.platform import lack_of_fit as remainder
 from calib.diagnose.problems.platform import tolerated
-from calib.diagnose.problems.platform.candidates import PlatformCandidate
+from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.coordinates import tangents
 from calib.diagnose.problems.platform.heldout import cross_validate
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel, linearise
@@ -30,6 +30,9 @@ class PlatformFit:
 
     refined: Refined
     terms: tuple[PlatformCandidate, ...] = ()
+
+
+PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 
 
 @dataclass(slots=True, eq=False)
@@ -93,26 +96,26 @@ class PlatformProblem:
         return self.candidates
 
     def search(self, model: LinearisedModel, candidates: list[PlatformCandidate], least: float = -np.inf,
-               progress: Callable[[int, int], None] | None = None) -> list[Score]:
+               progress: Callable[[int, int], None] | None = None) -> list[PlatformScore]:
         self.sensitivities = self.sensitivities.at(model.point)
         return search(model, candidates, self.sensitivities, progress)
 
-    def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> Score:
+    def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]
 
-    def aliases(self, model: LinearisedModel, own: Score, score: Score) -> list[Score]:
+    def aliases(self, model: LinearisedModel, own: PlatformScore, score: PlatformScore) -> list[PlatformScore]:
         return []
 
-    def column(self, model: LinearisedModel, score: Score) -> Column:
+    def column(self, model: LinearisedModel, score: PlatformScore) -> Column:
         column = column_of(model, score.candidate, score.node, self.sensitivities.at(model.point))
         theta = score.coefficients if len(score.coefficients) else np.ones(1)
         return Column(column.parts) @ theta[:, None]
 
-    def add_term(self, fit: PlatformFit, score: Score) -> PlatformFit:
+    def add_term(self, fit: PlatformFit, score: PlatformScore) -> PlatformFit:
         refined = add_term(fit.refined, score, self.sensitivities.at(fit.refined.point))
         return PlatformFit(refined, (*fit.terms, score.candidate))
 
-    def companion(self, fit: PlatformFit, score: Score) -> Score | None:
+    def companion(self, fit: PlatformFit, score: PlatformScore) -> PlatformScore | None:
         return self.search(self.residual(fit), [score.candidate])[0]
 
     def remove_term(self, fit: PlatformFit, number: int) -> PlatformFit:
@@ -124,7 +127,7 @@ class PlatformProblem:
         terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
         return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
 
-    def finer(self, fit: PlatformFit, trial: PlatformFit, score: Score, scores: list[Score]) -> PlatformFit:
+    def finer(self, fit: PlatformFit, trial: PlatformFit, score: PlatformScore, scores: list[PlatformScore]) -> PlatformFit:
         """The best number of knots of a profile just admitted: before, what a coarse one leaves counted as scatter."""
         if not score.candidate.profile:
             return trial

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 
 from calib.diagnose.engine.linear import Column, joined
-from calib.diagnose.engine.score import Score
-from calib.diagnose.problems.platform.candidates import SIZED
+from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
 from calib.diagnose.problems.platform.coordinates import Coordinate, kept_sums, loose, priors_cost, tangents
 from calib.diagnose.problems.platform.corners import edges_of, standing
 from calib.diagnose.problems.platform.geometry import count, moved_by
@@ -108,11 +107,11 @@ class _Freedom:
 
     def beside(self, other: "_Freedom") -> "_Freedom":
         """Both together."""
-        numbers = (np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high"))
-        return _Freedom(joined([self.column, other.column]), *numbers, block_diag(self.kept, other.kept))
+        values, worth, low, high = (np.r_[getattr(self, name), getattr(other, name)] for name in ("values", "loose", "low", "high"))
+        return _Freedom(joined([self.column, other.column]), values, worth, low, high, block_diag(self.kept, other.kept))
 
 
-def add_term(refined: Refined, score: Score, sensitivities: Sensitivities) -> Refined:
+def add_term(refined: Refined, score: PlatformScore, sensitivities: Sensitivities) -> Refined:
     """Refined with a Score's effect besides: all that is free moves with it from the start, so that even a large one fits in."""
     model, k = refined.model, refined.point
     column, theta = column_of(model, score.candidate, score.node, sensitivities), score.coefficients
@@ -123,7 +122,8 @@ def add_term(refined: Refined, score: Score, sensitivities: Sensitivities) -> Re
     else:
         by = {p.name: p for p in score.candidate.kind.parameters_at(score.candidate.place)}
         priors = np.array([loose(by[name], index) if name in by else 0.0 for name, index, _ in score.candidate.spec.linear])
-        new = _Freedom(column, np.zeros(len(theta)), priors, *score.candidate.bounds, np.zeros((0, len(theta))))
+        low, high = bounds_of(score.candidate.spec)
+        new = _Freedom(column, np.zeros(len(theta)), priors, low, high, np.zeros((0, len(theta))))
         free = new if own is None else own.beside(new)
         parts, step = free.column, _step(model, free)[0]
         theta = score.candidate.allowed(step[len(refined.coordinates) :])
@@ -139,6 +139,8 @@ def add_term(refined: Refined, score: Score, sensitivities: Sensitivities) -> Re
 def remove_term(refined: Refined, number: int) -> OperatingPoint:
     """OperatingPoint without an admitted effect, all that is free moved to where it makes up for it: the reverse of `add_term`."""
     model, effects = refined.model, refined.point.effects
+    if refined.column is None:
+        return refined.point.with_effects(e for i, e in enumerate(effects) if i != number)
     step = np.array([-v if c.effect == number and c.role in SIZED else 0.0 for c, v in zip(refined.coordinates, refined.values)])
     z = model.nuisances.at_rest - model.linear.project(refined.column).onto @ step
     return _apply(model, model.nuisances.solve @ z, step, refined.column, [e for i, e in enumerate(effects) if i != number])
@@ -248,9 +250,9 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
     finder = list(k.finder or [0.0] * len(cameras))
     for i, j in edges_of(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
-    m = k.design.mechanism
     if k.axes:
-        m = moved_by(m, freedoms[len(model.nuisances.names) - count(m) :])
+        m = k.platform
+        k = replace(k, design=replace(k.design, mechanism=moved_by(m, freedoms[len(model.nuisances.names) - count(m) :])))
     if k.seen is None:
         local = np.zeros((model.frames, 6))
-    return replace(moved(k, cameras, m, local), effects=tuple(effects), finder=tuple(finder))
+    return replace(moved(k, cameras, local), effects=tuple(effects), finder=tuple(finder))

@@ -7,10 +7,10 @@ from scipy.stats import chi2
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.score import Score
-from calib.diagnose.engine.select import Finding, Selection, convincing
+from calib.diagnose.engine.select import Finding, convincing
 from calib.diagnose.problems.platform.heldout import change
 from calib.diagnose.problems.platform.linearised import CORNERS
-from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.tolerated import Slight, slight, tolerated
 from calib.diagnose.tolerances import STILL
 
@@ -29,8 +29,8 @@ class Remarks:
     sites: list[Slight]
 
 
-def set_apart(problem: PlatformProblem, selection: Selection[PlatformFit],
-              left: list[LackOfFit]) -> tuple[Selection[PlatformFit], list[LackOfFit], Remarks]:
+def set_apart(problem: PlatformProblem, selection: PlatformSelection,
+              left: list[LackOfFit]) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
     """(Selection of what matters, what is left and matters, Remarks). The problem is tolerant from here on where it found anything."""
     fit, known = selection.fit, problem.tolerant
     if not known and not selection.findings and not left:
@@ -52,7 +52,7 @@ def set_apart(problem: PlatformProblem, selection: Selection[PlatformFit],
     return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
 
 
-def _reason(problem: PlatformProblem, selection: Selection[PlatformFit], finding: Finding, known: bool) -> str | None:
+def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Finding, known: bool) -> str | None:
     """Why a Finding is a remark, None where it matters. known : whether tolerances were among the nuisances when it was found"""
     fit, kind = selection.fit, selection.fit.terms[finding.number].kind
     if kind.view in LASTING_VIEWS and problem.block(fit.terms[finding.number]) == CORNERS and displaced(fit, finding.number) < STILL.limit:

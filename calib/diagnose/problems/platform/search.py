@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
 from calib.diagnose.engine.parallel import Progress, parallel_map
 from calib.diagnose.engine.products import FrameProducts, Solved
-from calib.diagnose.engine.score import Score, best_of
+from calib.diagnose.engine.score import best_of
 from calib.diagnose.problems.platform import spectrum
-from calib.diagnose.problems.platform.candidates import PlatformCandidate, Reach
+from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from rig.effects.base import Motion
@@ -22,7 +23,7 @@ CHUNK = 64  # nodes at a time
 
 
 def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
-           progress: Progress | None = None) -> list[Score]:
+           progress: Progress | None = None) -> list[PlatformScore]:
     """[Score] of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
@@ -30,13 +31,15 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
     axes = axis_products(model) if k.axes else None
-    mounts, held = {}, set(sensitivities.pixels)
+    mounts: dict[str, FrameProducts] = {}
+    held = set(sensitivities.pixels)
 
-    def ask(candidate: PlatformCandidate) -> tuple[Score, dict]:
-        if candidate.reach is Reach.SPECTRUM:
-            score = spectrum.best_frequency(model, candidate, axes)
-        elif candidate.reach is Reach.AXES:
-            score = _along_axes(model, candidate, sensitivities, axes, motion)
+    def ask(candidate: PlatformCandidate) -> tuple[PlatformScore, dict]:
+        if candidate.reach in (Reach.SPECTRUM, Reach.AXES):
+            if axes is None or motion is None:
+                raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")
+            score = spectrum.best_frequency(model, candidate, axes) if candidate.reach is Reach.SPECTRUM else \
+                _along_axes(model, candidate, sensitivities, axes, motion)
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
                 mounts[candidate.place] = corner_products(model, mount_pixels(model, candidate.place))
@@ -45,7 +48,8 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
             score = _viewed(model, candidate, sensitivities)
         new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
         held.update(new)
-        return replace(score, candidate=None), new  # a candidate is known by its identity, which no copy has
+        unnamed: Any = None  # a candidate is known by its identity, which no copy has
+        return replace(score, candidate=unnamed), new
 
     out = []
     for candidate, (score, new) in zip(candidates, parallel_map(ask, candidates, progress)):
@@ -63,7 +67,7 @@ def column_of(model: LinearisedModel, candidate: PlatformCandidate, node: Node, 
     if candidate.reach is Reach.AXES:
         return model.lengthened(sensitivities.deviation(candidate, node, motion or k.motion(k.effects)))
     if candidate.reach is Reach.MOUNT:
-        pixels = mount_pixels(model, candidate.place) * _share(model, candidate, node)[k.seen.observations.frame][:, None, None]
+        pixels = mount_pixels(model, candidate.place) * _share(model, candidate, node)[k.observed.observations.frame][:, None, None]
         return model.fold(pixels)
     return model.fold(sensitivities.corners(*sensitivities.seen(candidate, node)))
 
@@ -73,7 +77,7 @@ def axis_products(model: LinearisedModel) -> FrameProducts:
     F, axes = model.frames, model.point.axes
     W = model.closures.W  # (F, a, a): column i is axis i
     y = model.closure_residual[: F * axes].reshape(F, axes)
-    Q = model.linear.columns.parts[CLOSURES][: F * axes].reshape(F, axes, -1)
+    Q = model.linear.columns.whole[CLOSURES][: F * axes].reshape(F, axes, -1)
     return FrameProducts(np.einsum("fij,fi->fj", W, y), np.swapaxes(W, 1, 2) @ W, np.einsum("fij,fip->fjp", W, Q))
 
 
@@ -83,13 +87,13 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
     The residual and the basis stand square to each frame's own poses, so the displacements need not be freed of them first.
     """
     k, axes, c = model.point, model.point.axes, model.corners
-    basis, closures = model.linear.columns.parts, model.closure_residual
+    basis, closures = model.linear.columns.whole, model.closure_residual
     F, a, p = model.frames, pixels.shape[2], model.linear.columns.count
     beta, gamma, kappa = np.zeros((F, a)), np.zeros((F, a, a)), np.zeros((F, a, p))
-    rows = np.flatnonzero(pixels.reshape(len(pixels), -1).any(axis=1)[c.order])
+    rows = np.flatnonzero(np.any(pixels.reshape(len(pixels), -1), axis=1)[c.order])
     V = np.einsum("nij,njk->nik", c.whiten[rows], pixels[c.order[rows]]) / c.sigma
     y, Q, local = (part.reshape(len(c.order), 2, -1) for part in (model.corner_residual, basis[CORNERS], c.local))
-    frame = k.seen.observations.frame[c.order[rows]]
+    frame = k.observed.observations.frame[c.order[rows]]
     edges = np.searchsorted(frame, np.arange(F + 1))
     for f in np.unique(frame):
         part = slice(edges[f], edges[f + 1])
@@ -109,7 +113,7 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
 def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     """(n, 2, 6) px per unit tangent by which corners move with a camera's mount."""
     k = model.point
-    o = k.seen.observations
+    o = k.observed.observations
     out = np.zeros((len(o), 2, 6))
     for i, rows, _, J_camera, _ in derivatives(o, k.state):
         if f"camera {k.design.cameras[i].name}" == place:
@@ -117,7 +121,8 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     return out
 
 
-def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts, motion: Motion) -> Score:
+def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts,
+                motion: Motion) -> PlatformScore:
     solver: Callable[[inner.Normal], Solved] = inner.solve if candidate.spec.linear else inner.whole
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
@@ -127,7 +132,7 @@ def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivit
     return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion))
 
 
-def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> Score:
+def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
     w = np.stack([_share(model, candidate, node) for node in candidate.grid])
     solved = inner.solve(inner.stepwise(products, w))
     return best_of(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6))
@@ -136,10 +141,10 @@ def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: Fra
 def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
     """(F,) share of its motion that a mount has made by each frame."""
     camera = model.point.stated.camera(candidate.place.split(" ")[1])
-    return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, None)[:, 0]
+    return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
 
 
-def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities) -> Score:
+def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities) -> PlatformScore:
     products = corner_products(model, sensitivities.corners(*sensitivities.seen(candidate, candidate.grid[0])))
     solved = inner.solve(inner.stepwise(products, np.ones((1, model.frames))))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)

@@ -15,7 +15,7 @@ class Sensitivities:
     """What effects do, at one OperatingPoint; derivatives in pixels are kept, since they cost most and hardly change."""
 
     point: OperatingPoint
-    pixels: dict[tuple, object] = field(default_factory=dict)
+    pixels: dict[tuple, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def at(self, point: OperatingPoint) -> "Sensitivities":
         """The same for another OperatingPoint of the same corners; what was kept stays."""
@@ -30,7 +30,7 @@ class Sensitivities:
         if kind.times is Effect.times and kind.follow is Effect.follow and kind.sway is Effect.sway:
             return candidate.spec.deviation(node, motion)
         if not candidate.spec.linear:
-            return self._change(candidate.effect(node, ()), motion)[..., None]
+            return self._change(candidate.effect(node, np.zeros(0)), motion)[..., None]
         out = []
         for j, (_, _, step) in enumerate(candidate.spec.linear):
             unit = np.zeros(len(candidate.spec.linear))
@@ -63,9 +63,8 @@ class Sensitivities:
             k, rows, effects = self.point, self._rows(place), []
             parameter = next(p for p in kind.parameters if p.name == name)
             for sign in (1, -1) if parameter.bounds[0] < 0 else (2, 0):
-                value = sign * step
-                if index is not None:
-                    value = tuple(value if j == index else 0.0 for j in range(parameter.size or length))
+                numbers = range(parameter.size or length or 0)
+                value = sign * step if index is None else tuple(sign * step if j == index else 0.0 for j in numbers)
                 effects.append(kind(place, **{**others, name: value}))
             if kind.print_ is not Effect.print_ and name != "terms":  # what happens to pixels alone needs no camera
                 quads, camera = self._quads(rows)
@@ -81,23 +80,23 @@ class Sensitivities:
     def _quads(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = ("quads", len(rows), int(rows[0]) if len(rows) else 0)
         if key not in self.pixels:
-            self.pixels[key] = self.point.pixels(None, rows), self.point.seen.sightings.camera[rows]
+            self.pixels[key] = self.point.pixels(None, rows), self.point.observed.sightings.camera[rows]
         return self.pixels[key]
 
     def _rows(self, place: str) -> np.ndarray:
-        s, (kind, _, name) = self.point.seen.sightings, place.partition(" ")
+        s, (kind, _, name) = self.point.observed.sightings, place.partition(" ")
         if kind == "camera":
             names = [c.name for c in self.point.design.cameras]
             return np.flatnonzero(s.camera == names.index(name))
         if kind == "marker":
-            return np.flatnonzero(self.point.seen.markers.id[s.marker] == int(name))
+            return np.flatnonzero(self.point.observed.markers.id[s.marker] == int(name))
         if kind == "target":
-            return np.flatnonzero(np.array([t == name for t in self.point.seen.markers.target])[s.marker])
+            return np.flatnonzero(np.array([t == name for t in self.point.observed.markers.target])[s.marker])
         return np.arange(len(s.frame))
 
     def corners(self, rows: np.ndarray, quads: np.ndarray) -> np.ndarray:
         """(n, 2, q) px of all observed corners from those of some sightings."""
-        seen = self.point.seen
+        seen = self.point.observed
         at = np.full(len(seen.sightings.frame), -1)
         at[rows] = np.arange(len(rows))
         hit = np.flatnonzero(at[seen.row] >= 0)

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.identify.geometry import PRIOR, loop_jacobian
-from rig import machine, mechanisms
-from rig.design import Design
+from rig import machine
+from rig.design import Design, Hexapod
 from rig.effects.base import Effect
+from rig.errors import RigError
+from rig.mechanisms import hexapod
 from rig.recording import Commands, Sensors
 
 
@@ -27,17 +29,19 @@ def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sen
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
     commands : Commands; t : (n,) s exposures; sensors : Sensors; effects : two Effects that move the platform
-    sigma : (m, rad) standard deviation of a measured pose per axis. Raises what the machine raises
+    sigma : (m, rad) standard deviation of a measured pose per axis. Raises RigError for what is no hexapod, and what the machine raises
     """
     still = machine.run(design, commands, t, (), sensors)
     m = design.mechanism
+    if not isinstance(m, Hexapod):
+        raise RigError(f"plans are told apart for a hexapod, not for a mechanism of kind {m.kind!r}")
     parts = []
     covariance = np.diag(np.r_[[sigma[0] ** 2] * 3, [sigma[1] ** 2] * 3])
-    A = mechanisms.of(m).jacobian(still.T_base_platform, m)
+    A = hexapod.jacobian(still.T_base_platform, m)
     W = np.linalg.inv(np.linalg.cholesky(A @ covariance @ np.swapaxes(A, 1, 2)))
     for effect in effects:
         moved = machine.run(design, commands, t, (effect,), sensors).T_base_platform
-        parts.append((W @ (mechanisms.of(m).inverse(moved, m) - mechanisms.of(m).inverse(still.T_base_platform, m))[..., None]).ravel())
+        parts.append((W @ (hexapod.inverse(moved, m) - hexapod.inverse(still.T_base_platform, m))[..., None]).ravel())
     D = np.concatenate([(W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42), np.eye(42) / PRIOR])
     Q = np.linalg.qr(D)[0]
     a, b = (np.r_[part, np.zeros(42)] for part in parts)

@@ -24,8 +24,8 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
     """[(depends on, [(place, (F, axes, q) m of the struts under smooth functions of it) for each strut, or for all alike])] of a OperatingPoint."""
     F, ones = len(k.t), np.ones(k.axes)
     bases = [("pose", _alike(_pose(k), ones)), ("time", _alike(cosines(k.t, SLOW), ones)), ("time", _alike(cosines(k.t, FAST), ones))]
-    for name, values in (k.sensors.channels if k.sensors is not None else {}).items():
-        series = np.interp(k.t, k.sensors.t, values)
+    for name, values, times in ((n, v, k.sensors.t) for n, v in k.sensors.channels.items()) if k.sensors is not None else ():
+        series = np.interp(k.t, times, values)
         if np.ptp(series) > 0:
             bases.append((name, _alike(_powers(series, 2), ones)))
     motion = k.motion(())
@@ -57,7 +57,7 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
 def view_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     """(n, 2, 7) px of corners, per unit tangent of a camera's mount and per unit share of its focal length."""
     k = model.point
-    o = k.seen.observations
+    o = k.observed.observations
     i = [f"camera {c.name}" for c in k.design.cameras].index(place)
     rows, out = o.camera == i, np.zeros((len(o), 2, 7))
     out[..., :6] = mount_pixels(model, place)
@@ -72,7 +72,7 @@ def in_time(k: OperatingPoint, count: int) -> np.ndarray:
 
 def warp_pixels(k: OperatingPoint, i: int) -> np.ndarray:
     """(n, 2, q) px of corners under smooth warps of camera i's image; where corners should be, since where they are seen holds their noise."""
-    rows = k.seen.observations.camera == i
+    rows = k.observed.observations.camera == i
     basis = products(k.design.cameras[i], k.pixels()[rows], WARP)
     pixels = np.zeros((len(rows), 2, 2 * basis.shape[1]))
     pixels[rows, 0, : basis.shape[1]] = basis
@@ -82,7 +82,7 @@ def warp_pixels(k: OperatingPoint, i: int) -> np.ndarray:
 
 def marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
-    seen, quads = k.seen, k.pixels(rows=slice(None))
+    seen, quads = k.observed, k.pixels(rows=np.arange(len(k.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack([(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1)  # (s, 4, 2, 2)
     corner, marker = seen.observations.corner, seen.markers.id[seen.sightings.marker][seen.row]
@@ -123,12 +123,12 @@ def cover(model: LinearisedModel, left: list[LackOfFit]) -> tuple[np.ndarray | N
     pixels = []
     for u in left:
         if u.place.startswith("camera") and u.depends_on == ("time",):
-            moved = np.einsum("nca,nak->nck", view_pixels(model, u.place), in_time(k, FAST)[k.seen.observations.frame])
+            moved = np.einsum("nca,nak->nck", view_pixels(model, u.place), in_time(k, FAST)[k.observed.observations.frame])
             pixels.append(moved)
         elif u.place.startswith("camera") and u.depends_on == ("image position",):
             pixels.append(warp_pixels(k, [f"camera {c.name}" for c in k.design.cameras].index(u.place)))
     if any(u.place.startswith("marker") for u in left):
-        ids = np.unique(k.seen.markers.id[k.seen.sightings.marker])
+        ids = np.unique(k.observed.markers.id[k.observed.sightings.marker])
         pixels.append(marker_pixels(k, ids) @ np.kron(np.eye(len(ids)), _distortions()))
     return np.concatenate(pixels, axis=2) if pixels else None, np.concatenate(parts, axis=2) if parts else None
 
@@ -140,14 +140,14 @@ def covered(model: LinearisedModel, pixels: np.ndarray | None, weights: np.ndarr
     """
     if pixels is not None:
         for _ in range(ROUNDS):
-            o = model.point.seen.observations
+            o = model.point.observed.observations
             found = model.linear.project(model.fold(pixels))
             K, b, G = found.onto, found.right, found.gram
             scale = np.sqrt(np.diag(G) + (K**2).sum(axis=0)) + 1e-300
             values, vectors = np.linalg.eigh(G / scale[:, None] / scale)
             kept = values > SEEN
             moved = pixels @ (vectors[:, kept] @ ((vectors[:, kept].T @ (b / scale)) / values[kept]) / scale)
-            seen = replace(model.point.seen, observations=replace(o, uv=o.uv - moved))
+            seen = replace(model.point.observed, observations=replace(o, uv=o.uv - moved))
             model = linearise(replace(model.point, seen=seen))
         model = model.marginalise(model.fold(pixels))
     return model if weights is None else model.marginalise(model.lengthened(weights))
@@ -190,5 +190,6 @@ def _direction(path: Path) -> np.ndarray:
 
 def _speed(k: OperatingPoint) -> np.ndarray:
     """(F, axes) m/s of the struts at the exposures."""
-    ends = [np.stack([np.interp(k.t + s * ABOUT, k.commands.t, column) for column in k.commands.values.T], axis=1) for s in (1, -1)]
+    path = k.commanded
+    ends = [np.stack([np.interp(k.t + s * ABOUT, path.t, column) for column in path.values.T], axis=1) for s in (1, -1)]
     return (ends[0] - ends[1]) / (2 * ABOUT)

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from calib.diagnose.engine.chance import dispersion
 from calib.diagnose.engine.products import FrameProducts, Normal, framewise, solve
 from calib.diagnose.engine.score import Score
-from calib.diagnose.problems.platform.candidates import PlatformCandidate
+from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from rig.effects.vibration import one_direction
 
@@ -28,7 +28,7 @@ def wave(model: LinearisedModel, frequencies: np.ndarray) -> np.ndarray:
     return np.concatenate([np.sin(angle)[:, :, None, None] * modes, np.cos(angle)[:, :, None, None] * modes], axis=-1)
 
 
-def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> Score:
+def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
     """Score of the frequency at which one direction shakes most; p-value by the number of frequencies that can be told apart."""
     t = model.point.t
     parameter = next(p for p in candidate.kind.parameters if p.role == "frequency")
@@ -68,7 +68,7 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
     series = (np.bincount(at, weights=one, minlength=bins)[:bins] for one in (beta @ half).T)
-    return sum(2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series), np.fft.rfftfreq(bins, step)
+    return np.sum([2 * np.abs(np.fft.rfft(one, bins)) ** 2 for one in series], axis=0), np.fft.rfftfreq(bins, step)
 
 
 def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarray:

@@ -1,5 +1,6 @@
 """How strong an effect is in a recording: its signal-to-noise once calibration has taken what it can, all of the truth being known."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from calib.diagnose.problems.platform.linearised import linearise
 from rig import machine
 from rig.design import Design
 from rig.effects.base import Effect
+from rig.errors import RigError
 from rig.recording import Recording, Sensors
 from vision.observations import from_corners
 from vision.targets import marker_map
@@ -19,15 +21,19 @@ def strengths(recording: Recording, true: Design, noise: float, effects: tuple[E
 
     recording : Recording with corners; true : Design as it really is; noise : px, standard deviation of a corner
     effects : all that are at work, of the catalogue or not; sensors : Sensors as they truly were
+    Raises RigError where corners or commands are missing
     """
     frames, t = recording.exposures.times()
+    if recording.corners is None or recording.commands is None:
+        raise RigError(f"{recording.folder}: this takes corners and commands")
+    commands = recording.commands
     stated = recording.design
     observations = from_corners(recording.corners, frames, stated, marker_map(stated))
     observations = replace(observations, covariance=np.broadcast_to(noise**2 * np.eye(2), (len(observations), 2, 2)))
 
-    def world(acting: tuple[Effect, ...]) -> OperatingPoint:
-        T = machine.run(true, recording.commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
-        return OperatingPoint(true, stated, frames, t, T, {}, None, recording.commands, sensors, None, tuple(acting))
+    def world(acting: Iterable[Effect]) -> OperatingPoint:
+        T = machine.run(true, commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
+        return OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
 
     whole = world(effects)
     whole = replace(whole, seen=seen_of(observations, marker_map(stated)))

@@ -1,17 +1,18 @@
 """Effects that follow a temperature: how much less sure a thermometer's noise makes them, and where none was logged, whatever a smooth course of it
 would explain as well has them for alternatives."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
 
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.engine.score import Alternative, Score
-from calib.diagnose.engine.select import Finding, Selection, stands
+from calib.diagnose.engine.select import Finding, stands
 from calib.diagnose.problems.platform.candidates import candidate_of, context_of
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem
+from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.smooth import SLOW, cosines
 from rig.effects import ALL
@@ -19,11 +20,12 @@ from rig.effects.base import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.candidate import Candidate as EffectCandidate
 from rig.recording import Sensors
 
-WARM = tuple(kind for kind in ALL if kind.follows.__func__ is not Effect.follows.__func__)  # those that follow a temperature
+WARM = tuple(kind for kind in ALL  # those that follow a temperature
+             if inspect.getattr_static(kind, "follows") is not inspect.getattr_static(Effect, "follows"))
 STEP = 1e-5  # 1/K
 
 
-def unlogged(problem: PlatformProblem, selection: Selection[PlatformFit]) -> Selection[PlatformFit]:
+def unlogged(problem: PlatformProblem, selection: PlatformSelection) -> PlatformSelection:
     """Selection in which every finding that could as well be an effect of a temperature, had it run as some smooth function of time, has that
     effect among its alternatives, at its own place or at the whole machine; effects whose temperature was logged are not asked for."""
     k = selection.fit.refined.point
@@ -36,7 +38,7 @@ def unlogged(problem: PlatformProblem, selection: Selection[PlatformFit]) -> Sel
     return replace(selection, findings=findings)
 
 
-def _beside_temperatures(problem: PlatformProblem, selection: Selection[PlatformFit], finding: Finding,
+def _beside_temperatures(problem: PlatformProblem, selection: PlatformSelection, finding: Finding,
                          asked: list[tuple[type[Effect], str]]) -> Finding:
     model, alternatives = problem.beside(selection.fit, finding.number), list(finding.alternatives)
     alone = problem.marginalised(model)
@@ -54,13 +56,15 @@ def _beside_temperatures(problem: PlatformProblem, selection: Selection[Platform
 
 def widened(refined: Refined) -> Refined:
     """Refined whose covariance holds what the temperatures' own errors add, see `temperature_smoothing.smoothed`."""
-    k, parts = refined.point, []
-    channels = {next(name for name in names if name in k.sensors.channels)
+    k, sensors, parts = refined.point, refined.point.sensors, []
+    if sensors is None or refined.column is None:
+        return refined
+    channels = {next(name for name in names if name in sensors.channels)
                 for e in k.effects if type(e) in WARM for names in type(e).follows(e.place, context_of(k))}
     for channel in sorted(channels & k.log_errors.keys()):
         for error in k.log_errors[channel].T:
-            course = {**k.sensors.channels, channel: k.sensors.channels[channel] + error}
-            off = replace(k, sensors=replace(k.sensors, channels=course))
+            course = {**sensors.channels, channel: sensors.channels[channel] + error}
+            off = replace(k, sensors=replace(sensors, channels=course))
             parts += [_moved(refined.model, off)]
     if not parts:
         return refined
@@ -86,7 +90,7 @@ def _places(kind: type[Effect], place: str) -> list[str]:
     return [whole for whole in kind.places if whole not in ("axis", "camera")] + [place] * (own and " " in place)
 
 
-def _lacking(k: OperatingPoint, followed: list[tuple[str, ...]]) -> bool:
+def _lacking(k: OperatingPoint, followed: tuple[tuple[str, ...], ...]) -> bool:
     logged = set(k.sensors.channels) if k.sensors is not None else set()
     return not all(logged & set(channels) for channels in followed)
 

@@ -55,7 +55,9 @@ class Slight:
 
 def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated | None:
     """Tolerated of a LinearisedModel; None where nothing of the kind could be seen."""
-    k, parts, sigma, sites = model.point, [], [], []
+    k, parts = model.point, []
+    sigma: list[float] = []
+    sites: list[Site] = []
     kept = sensitivities.at(k)
     if k.seen is not None:
         for site, pixels, sizes in _markers(k, kept):
@@ -71,12 +73,12 @@ def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated
 
 def _markers(k: OperatingPoint, kept: Sensitivities) -> list[tuple[Site, np.ndarray, list[float]]]:
     """[(Site, (n, 2, q) px, standard deviations (q,))] of each marker's place, angle and side, and of all sides together."""
-    ids = k.seen.markers.id
+    ids = k.observed.markers.id
     rows, quads = kept.derivative(PrintScale, ALL_MARKERS, Linear("scale", None, STEP), {})
-    scaled, own = kept.corners(rows, quads[..., None]), ids[k.seen.sightings.marker][k.seen.row]
+    scaled, own = kept.corners(rows, quads[..., None]), ids[k.observed.sightings.marker][k.observed.row]
     out = [(Site(PrintScale.name, ALL_MARKERS, (("scale", "", 1),), SIDES, slice(0)), scaled, [SIDES.sigma])]
-    for m in np.unique(k.seen.sightings.marker):
-        place, half = f"marker {ids[m]}", k.seen.markers.side[m] / 2
+    for m in np.unique(k.observed.sightings.marker):
+        place, half = f"marker {ids[m]}", k.observed.markers.side[m] / 2
         columns = [kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {}) for name in ("offset", "rotation") for j in range(3)]
         pixels = kept.corners(columns[0][0], np.stack([quads for _, quads in columns], axis=-1))
         site = Site(FaceMisplacement.name, place, (("offset", "m", 3), ("rotation", "rad", 3)), PLACES, slice(0))
@@ -103,7 +105,7 @@ def beside(model: LinearisedModel, found: Tolerated) -> LinearisedModel:
     linear, more = model.linear, len(found.sigma)
     closures = linear.blocks[CLOSURES]
     closures = replace(closures, residual=np.r_[closures.residual, np.zeros(more)])
-    bases = list(linear.columns.parts)
+    bases = list(linear.columns.whole)
     bases[CLOSURES] = np.concatenate([bases[CLOSURES], np.zeros((more, bases[CLOSURES].shape[1]))])
     blocks = tuple(closures if i == CLOSURES else block for i, block in enumerate(linear.blocks))
     grown = replace(linear, blocks=blocks, columns=Column(tuple(bases)), size=linear.size + more)
