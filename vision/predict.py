@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,11 +16,40 @@ from rig.machine import Run
 from rig.pose import exp, transform_points
 from rig.recording import Sensors
 from vision import lens
-from vision.observations import Observations
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
 INSIDE = 2.0  # px; an expected marker's corners lie this far inside the image
+
+
+class ObservedCorners(Protocol):
+    """What is asked of n corners that were seen, sorted by camera; vision.observations has them."""
+
+    @property
+    def frame(self) -> np.ndarray:
+        """(n,) index of the frame."""
+
+    @property
+    def camera(self) -> np.ndarray:
+        """(n,) index of the camera."""
+
+    @property
+    def marker(self) -> np.ndarray:
+        """(n,) row of the marker map."""
+
+    @property
+    def corner(self) -> np.ndarray:
+        """(n,) 0..3."""
+
+    @property
+    def points(self) -> np.ndarray:
+        """(n, 3) m in the body's frame."""
+
+    @property
+    def on_platform(self) -> np.ndarray:
+        """(n,) bool."""
+
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +76,7 @@ class State:
         return State(self.cameras, self.platform[frames], {i: T[frames] for i, T in self.moving.items()}, self.markers)
 
 
-def predict(observations: Observations, state: State) -> tuple[np.ndarray, np.ndarray]:
+def predict(observations: ObservedCorners, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (n, 2) where the corners should be, and the points (n, 3) m in their camera's frame; z <= 0 is behind it."""
     base, uv, ahead = base_points(observations, state), np.empty((len(observations), 2)), np.empty((len(observations), 3))
     for i, camera, rows in by_camera(observations, state):
@@ -194,7 +224,7 @@ def _delayed(corners: np.ndarray, markers: MarkerMap, marker: np.ndarray, state:
     return np.where(on[:, None, None], base, corners)
 
 
-def by_camera(observations: Observations, state: State) -> Iterator[tuple[int, Camera, slice]]:
+def by_camera(observations: ObservedCorners, state: State) -> Iterator[tuple[int, Camera, slice]]:
     """(camera index, Camera, slice of its corners) for each camera that sees something."""
     edges = np.searchsorted(observations.camera, np.arange(len(state.cameras) + 1))
     for i, camera in enumerate(state.cameras):
@@ -202,12 +232,12 @@ def by_camera(observations: Observations, state: State) -> Iterator[tuple[int, C
             yield i, camera, slice(edges[i], edges[i + 1])
 
 
-def body_points(observations: Observations, state: State) -> np.ndarray:
+def body_points(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in their body's frame."""
     return observations.points if state.markers is None else state.markers.corners[observations.marker, observations.corner]
 
 
-def base_points(observations: Observations, state: State) -> np.ndarray:
+def base_points(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in the base frame."""
     points = body_points(observations, state).copy()
     on = observations.on_platform
