@@ -183,7 +183,7 @@ def faces(seen: Seen, name: str) -> Iterator[Candidate]:
 def edges(seen: Seen) -> Iterator[Candidate]:
     """The edges of all cubes stated too large or too small."""
     for by in EDGES:
-        if all(not t.edge or t.edge + by > t.marker for t in seen.design.targets):
+        if all(not t.edge or t.edge + by > (t.marker or 0.0) for t in seen.design.targets):
             yield (f"rig.toml: the edge of all cubes is stated about {abs(by) * 1e3:.0f} mm too {'small' if by > 0 else 'large'}",
                    "Measure a cube from face to face, in metres", seen.with_targets(
                        tuple(replace(t, edge=t.edge + by) if t.edge else t for t in seen.design.targets)))
