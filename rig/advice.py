@@ -1,6 +1,7 @@
 """What an operator can do where a controller does not move: said with every refusal, by the state that it is in."""
 
 TRUST = "home it (rig home), or, where the struts truly stand as they read, say --trust (rig run: --no-home)"
+ANEW = f"the controller has started anew since it was last spoken to; {TRUST}"
 OUT_OF_RANGE = "is [controller] zero the length, joint centre to joint centre, at which the controller counts 0?"
 CANNOT_HOME = ("[controller] homing = false: this controller cannot home, so nothing was sent; an alarm is cleared with rig jog --unlock, "
                "and its position is believed with --trust once you have seen that it is true")

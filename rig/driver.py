@@ -9,7 +9,7 @@ from typing import Any, TextIO, TypeVar
 import numpy as np
 
 from rig import mechanisms, path_check, protocols
-from rig.advice import CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
+from rig.advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.clock import Clock, SystemClock
 from rig.design import Design
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
@@ -175,12 +175,12 @@ class Driver:
 
     def _ready(self) -> np.ndarray:
         """(n,) m from which a move may start. Raises PositionLost, ControllerFault."""
-        self._same()
-        state = self._state()
-        if state.activity != "idle" or state.fault:
+        same, state = self._asked(self._protocol.fence), self._state()
+        self._known = self._known and same and not (self._homed and state.homed is False)
+        if state.activity != "idle" or state.fault:  # what keeps it from homing, too, is said before what homing would mend
             raise ControllerFault(f"not ready to move: {self._trouble(state)}")
-        if self._homed and state.homed is False:
-            self._known = False
+        if not same:
+            raise PositionLost(ANEW)
         if not self._known:
             raise PositionLost(f"where the struts stand is not known; {TRUST}")
         lengths = self._lengths(state)
@@ -238,7 +238,7 @@ class Driver:
         """Have all that was sent dealt with. Raises PositionLost where the controller has started anew."""
         if not self._asked(self._protocol.fence):
             self._known = False
-            raise PositionLost(f"the controller has started anew since it was last spoken to; {TRUST}")
+            raise PositionLost(ANEW)
 
     def _asked(self, question: Callable[[], Dialogue[T]], stoppable: bool = True, patience: float = PATIENCE) -> T:
         """What a dialogue that moves nothing comes to, connecting anew where the connection is lost."""

@@ -17,6 +17,7 @@ UNITS = {"M": 1.0, "MM": 1e3, "UM": 1e6, "µM": 1e6}  # of a metre
 POLL = 0.05  # s between looks at axes that are to come to rest
 REST = 20.0  # s that a halt may take
 STOPPED = 10  # the error that every stop leaves
+_AXIS = r"[A-Za-z0-9_-]+"
 _NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
 ERRORS = {1: "parameter syntax", 2: "unknown command", 5: "not referenced, or servo off", 7: "position out of limits", 8: "velocity out of limits",
           STOPPED: "stopped by command", 15: "invalid axis", 17: "parameter out of range", 23: "illegal axis", 24: "wrong number of parameters",
@@ -42,7 +43,7 @@ class GCS:
         else:
             raise NoAnswer(f"no answer to *IDN?, asked {TRIES} times")
         self._identity = lines[-1].strip()
-        listed = tuple(line.strip() for line in (yield from self._ask(b"SAI?\n", _whole(r"\w+"))))
+        listed = tuple(line.strip() for line in (yield from self._ask(b"SAI?\n", _whole(_AXIS))))
         self.axes = self.axes or listed[: self._count]
         missing = [axis for axis in self.axes if axis not in listed]
         if missing or len(self.axes) != self._count:
@@ -119,12 +120,12 @@ class GCS:
         return " ".join(f"{axis} {value:.6f}" for axis, value, on in zip(self.axes, self._unit * metres, which) if on)
 
     def _learn_unit(self) -> Dialogue[None]:
-        lines = yield Exchange(b"PUN?\n", _whole(r"\w+=\S+"))
+        lines = yield Exchange(b"PUN?\n", _whole(rf"{_AXIS}=\S+"))
         if lines is None:  # older controllers know no other than mm
             yield from self._in_step()
             yield from self._error()
             return
-        units = {match[2].upper() for line in lines if (match := re.search(r"(\w+)=(\S+)", line)) and match[1] in self.axes}
+        units = {match[2].upper() for line in lines if (match := re.search(rf"({_AXIS})=(\S+)", line)) and match[1] in self.axes}
         if len(units) != 1 or not units <= set(UNITS):
             raise ControllerFault(f"the axes count in {' '.join(sorted(units))}; they must all count in one of {' '.join(UNITS)}")
         self._unit = UNITS[units.pop()]
@@ -140,8 +141,8 @@ class GCS:
     def _values(self, question: str) -> Dialogue[np.ndarray]:
         """(n,) what a question about axes is answered with. Raises NoAnswer where axes are missing in the answer."""
         for _ in range(TRIES):
-            lines = yield from self._ask(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"\w+={_NUMBER}"))
-            pairs = [re.fullmatch(rf"(\w+)=({_NUMBER})", line.strip()) for line in lines]
+            lines = yield from self._ask(f"{question} {' '.join(self.axes)}\n".encode(), _whole(rf"{_AXIS}={_NUMBER}"))
+            pairs = [re.fullmatch(rf"({_AXIS})=({_NUMBER})", line.strip()) for line in lines]
             found = {pair[1]: float(pair[2]) for pair in pairs if pair}
             if set(found) == set(self.axes):
                 return np.array([found[axis] for axis in self.axes])
@@ -165,7 +166,7 @@ class GCS:
             yield from self._in_step()
             return Verdict(None, f"no answer to ERR? after {line}")
         error = int(lines[-1].strip())
-        return Verdict(error == 0, "" if error == 0 else _reason(error))
+        return Verdict(error == 0, "" if error == 0 else f"{line.split()[0]}: {_reason(error)}")
 
     def _in_step(self) -> Dialogue[None]:
         """Have every older answer come and go."""

@@ -1,7 +1,8 @@
 """grblHAL and Grbl 1.1: struts as linear axes in mm, lines answered by `ok` or `error:N`, real-time bytes `?`, `!` and 0x18.
 
-Moves are in machine coordinates (G53), so that no work offset matters. After `hello` the feed word is never 0; a controller that says
-F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c and system.c.
+Moves are in machine coordinates (G53), so that no work offset matters; scaling would, and is switched off. After `hello` the feed word is
+never 0; a controller that says F0 has started anew. Source: Grbl 1.1 Interface and Commands (gnea/grbl wiki); grblHAL core, report.c,
+gcode.c and system.c.
 """
 
 import re
@@ -29,10 +30,15 @@ _BANNER = re.compile(r"Grbl(HAL)? \d+\.\d+", re.IGNORECASE)
 _ACTIVITY = {"Idle": "idle", "Run": "moving", "Jog": "moving", "Home": "homing", "Hold": "held", "Tool": "held", "Door": "held",
              "Alarm": "alarm", "Check": "off", "Sleep": "off"}
 _PINS = {"M": "a motor driver is in fault", "E": "emergency stop is pressed"}
+_WAITS = {"Door": "a safety door is open", "Tool": "it waits for a tool change", "Check": "it checks what it is sent and moves nothing ($C): "
+          "rig stop ends that", "Sleep": "it sleeps: rig stop wakes it, and its position is not known then"}
+_DEAF = {"Hold", "Door", "Tool"}  # takes no line until it is told to go on
 _SLOWING = {"Run", "Jog", "Hold:1", "Door:2", "Door:3"}  # a reset then is an alarm, and the position is lost
 _HOMING_OFF = "homing is not enabled there: set $22=1, or state homing = false in [controller] where there are no switches"
-ERRORS = {5: _HOMING_OFF, 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 15: "beyond the soft limits",
-          11: "line too long", 14: "line too long", 18: "no homing cycles are set", 79: "not while an alarm is critical"}
+ERRORS = {5: _HOMING_OFF, 8: "not while it moves", 9: "locked by an alarm: home, or unlock", 10: "soft limits take homing: $22=1",
+          11: "line too long", 13: "a safety door is open", 14: "line too long", 15: "beyond the soft limits", 18: "no homing cycles are set",
+          45: "on a limit switch", 46: "it must be homed first, without unlocking", 50: "emergency stop is pressed", 51: "a motor driver is in fault",
+          79: "not while an alarm is critical"}
 ALARMS = {1: "a limit switch was hit, position lost", 2: "beyond the soft limits", 3: "reset while moving, position lost", 6: "homing was reset",
           7: "door opened while homing", 8: "homing could not leave the switch", 9: "homing found no switch", 10: "emergency stop",
           11: "homing is required", 17: "a motor driver is in fault"}
@@ -55,8 +61,10 @@ class GrblHAL:
         self._homing = False
 
     def hello(self) -> Dialogue[str]:
-        yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None)
-        build = yield from _told(b"$I\n")
+        report = _STATUS.search((yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
+        if report[1].split(":")[0] in _DEAF:
+            raise ControllerFault(f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held")
+        build = yield from _told(b"$I\n", patience=STANDS)
         version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
         for line in build:
             if match := re.fullmatch(r"\[OPT:[^,\]]*,\d+,(\d+).*\]", line):
@@ -72,14 +80,15 @@ class GrblHAL:
         if self._turning() and int(self._settings.get(680, 0)) & 1:
             raise ControllerFault(f"the controller takes {self._turning()} for rotary axes whose feed is that of the others ($376, $680): set $376=0")
         ready = yield from _told(READY.encode() + b"\n", locked=True)
+        if _scaled((yield from _modes())):
+            yield from _told(b"G50\n", locked=True)
         self._whole_report = b"\x87" if "[FIRMWARE:grblHAL]" in build else b"?"
         yield from self._learn_homed()
         return f"grblHAL {version}, axes {self._letters}" + (f", {ready[-1]}" if ready[-1] != "ok" else "")
 
     def fence(self) -> Dialogue[bool]:
-        lines = yield from ask(b"$G\n", _after("[GC:"))
-        words = next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()
-        return {"G21", "G90", "G94"} <= set(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
+        words = yield from _modes()
+        return {"G21", "G90", "G94"} <= words and not _scaled(words) and not any(re.fullmatch(r"F0+(\.0*)?", word) for word in words)
 
     def state(self) -> Dialogue[State]:
         for _ in range(40):  # the work offset comes with every 30th report, at the latest
@@ -182,8 +191,8 @@ class GrblHAL:
         fault = "; ".join(text for pin, text in _PINS.items() if pin in fields.get("Pn", ""))
         if word == "Alarm":
             fault = f"alarm {number} ({ALARMS.get(int(number or 0), 'see its manual')})" if number else fault or "alarm"
-        elif word in ("Door", "Tool", "Check", "Sleep"):
-            fault = f"it is in the state {match[1]}"
+        elif word in _WAITS:
+            fault = _WAITS[word]
         if "H" in fields:
             self._homed = fields["H"].startswith("1") and not self._never_homed()
         chosen = None if machine is None else machine[[self._letters.index(axis) for axis in self.axes]] / MM
@@ -214,6 +223,17 @@ def _told(data: bytes, locked: bool = False, patience: float = 0.0) -> Dialogue[
     if end != "ok" and not (locked and end == "error:9"):
         raise ControllerFault(f"the controller refuses {data.decode().strip()}: {_reason(end)}")
     return tuple(line.strip() for line in lines)
+
+
+def _modes() -> Dialogue[set[str]]:
+    """The words of what it takes for granted: units, distances, feed."""
+    lines = yield from ask(b"$G\n", _after("[GC:"))
+    return {*next(line for line in lines if line.startswith("[GC:"))[4:].strip().rstrip("]").split()}
+
+
+def _scaled(words: set[str]) -> bool:
+    """Whether coordinates are multiplied, those of the machine too."""
+    return any(word.startswith("G51") for word in words)
 
 
 def _command(line: str, timeout: float | None = None) -> Dialogue[Verdict]:

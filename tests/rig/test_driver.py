@@ -196,6 +196,8 @@ def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_desi
     driver, emulator, clock = bench(driven_design, "grblhal", (), 1, homing=False)
     emulator.alarm = 3
     assert not driver.open().known
+    with pytest.raises(ControllerFault, match="alarm .* --unlock"):  # and not first that its position is lost, which nothing mends in an alarm
+        driver.move(home_lengths(driven_design.mechanism))
     driver.unlock()
     with pytest.raises(PositionLost, match="--trust"):
         driver.move(home_lengths(driven_design.mechanism))

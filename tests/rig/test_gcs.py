@@ -53,13 +53,20 @@ def segment(target_mm):
 def test_hello_switches_servos_on_and_says_who_it_is():
     on = (b"SVO 1 1 2 1 3 1 4 1 5 1 6 1\nERR?\n", b"0\n")
     assert talk([*hello(servo=(1, 1, 0, 1, 1, 1)), on]).startswith("(c)2015 Physik Instrumente")
-    with pytest.raises(ControllerFault, match="servos cannot be switched on: error -1024"):
+    with pytest.raises(ControllerFault, match="servos cannot be switched on: SVO: error -1024"):
         talk([*hello(servo=(0,) * 6), (on[0], b"-1024\n")])
 
 
 def test_a_controller_with_fewer_axes_is_refused():
     with pytest.raises(ControllerFault, match="has the axes X Y"):
         talk([IDENTITY, (b"SAI?\n", b"X \nY\n")])
+
+
+def test_names_of_axes_may_have_a_dash():
+    names = [f"A-{i}" for i in range(6)]
+    lines = [" \n".join(f"{name}{value}" for name in names).encode() + b"\n" for value in ("", "=MM", "=1")]
+    script = [IDENTITY, (b"SAI?\n", lines[0]), (b"ERR?\n", b"0\n"), (b"PUN?\n", lines[1]), (f"SVO? {' '.join(names)}\n".encode(), lines[2])]
+    assert talk(script).endswith("axes A-0 A-1 A-2 A-3 A-4 A-5")
 
 
 def test_older_controllers_count_in_mm():

@@ -12,7 +12,8 @@ from tests.rig.wire import ScriptedPort
 
 IDLE = b"<Idle|MPos:1.000,2.000,3.000,4.000,5.000,6.000|Bf:100,1023|FS:0,0>\r\n"
 BUILD = b"[VER:1.1f.20260817:]\r\n[OPT:VNML+,100,1024,6,0]\r\n[AXS:6:XYZABC]\r\nok\r\n"
-HELLO = [(b"?", IDLE), (b"$I\n", BUILD), (b"$$\n", b"$10=511\r\n$13=0\r\n$376=7\r\nok\r\n"), (b"G21G90G94F100\n", b"ok\r\n")]
+MODES = (b"$G\n", b"[GC:G1 G54 G17 G21 G90 G94 G49 G98 G50 M5 M9 T0 F100 S0.]\r\nok\r\n")
+HELLO = [(b"?", IDLE), (b"$I\n", BUILD), (b"$$\n", b"$10=511\r\n$13=0\r\n$376=7\r\nok\r\n"), (b"G21G90G94F100\n", b"ok\r\n"), MODES]
 
 
 def talk(script, what, protocol=None):
@@ -49,14 +50,14 @@ def test_a_controller_with_three_axes_is_refused_for_six():
 
 
 def settled(*settings):
-    return greeted([*HELLO[:2], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), HELLO[3]])
+    return greeted([*HELLO[:2], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), *HELLO[3:]])
 
 
 @pytest.mark.parametrize("settings, says", [
     ([b"$22=0"], "set $22=1, or state homing = false"), ([b"$22=0", b"$44=63"], "set $22=1"),
     ([b"$22=1", b"$44=4", b"$45=3", b"$46=0"], "leave out ABC")])
 def test_homing_that_would_not_home_every_strut_is_refused_before_anything_is_sent(settings, says):
-    script = [HELLO[0], HELLO[1], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), HELLO[3]]
+    script = [HELLO[0], HELLO[1], (b"$$\n", b"".join(line + b"\r\n" for line in (*settings, b"ok"))), *HELLO[3:]]
     homed = IDLE.replace(b"FS:0,0", b"FS:0,0|H:1")
     protocol = greeted([*script, (b"?", homed)] if b"$22=1" in settings else script)
     verdict = talk([], lambda p: p.home(10.0), protocol)
@@ -85,7 +86,7 @@ def test_state_in_work_positions_waits_for_their_offset():
 
 def test_reports_in_inches_leave_rotary_axes_alone():
     settings = (b"$$\n", b"$13=1\r\n$376=4\r\nok\r\n")  # the third of A, B, C turns
-    protocol = greeted([*HELLO[:2], settings, HELLO[3]])
+    protocol = greeted([*HELLO[:2], settings, *HELLO[3:]])
     state = talk([(b"?", b"<Idle|MPos:0.1000,0.1000,0.1000,0.1000,0.1000,0.1000|FS:0,0>\r\n")], lambda p: p.state(), protocol)
     np.testing.assert_allclose(state.positions, [2.54e-3] * 5 + [0.1e-3], atol=1e-12)
 
@@ -147,6 +148,28 @@ def test_stop_lets_a_door_s_hold_end_before_it_resets():
     script = [(b"!", b""), (b"?", door), (b"?", door.replace(b"Door:2", b"Door:1")), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
               (b"G21G90G94F100\n", b"ok\r\n")]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
+
+
+def test_scaled_coordinates_are_made_whole_again_and_never_moved_in():
+    scaled = (MODES[0], MODES[1].replace(b"G50", b"G51:XY"))
+    assert greeted([*HELLO[:4], scaled, (b"G50\n", b"ok\r\n")]) is not None
+    assert talk([MODES], lambda p: p.fence()) and not talk([scaled], lambda p: p.fence())
+
+
+@pytest.mark.parametrize("state", [b"Hold:0", b"Door:1", b"Tool"])
+def test_a_controller_that_is_held_is_said_to_be(state):
+    with pytest.raises(ControllerFault, match=f"is held .*{state.decode()}.* rig stop"):
+        talk([(b"?", IDLE.replace(b"Idle", state))], lambda p: p.hello())
+
+
+def test_a_controller_that_still_moves_is_waited_for():
+    assert greeted([HELLO[0], (b"$I\n", b"error:8\r\n"), *HELLO[1:]]) is not None
+
+
+@pytest.mark.parametrize("state, says", [(b"Check", "rig stop ends that"), (b"Sleep", "rig stop wakes it"), (b"Door:0", "door")])
+def test_a_state_in_which_nothing_moves_is_told_with_its_way_out(state, says):
+    read = talk([(b"?", IDLE.replace(b"Idle", state))], lambda p: p.state())
+    assert says in read.fault and read.activity != "idle"
 
 
 def test_events_are_found_in_merged_lines():
