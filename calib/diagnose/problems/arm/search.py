@@ -92,7 +92,6 @@ def solved_grid(fit: Fit, candidate: JointCandidate, products: FrameProducts, le
     else:
         return solved_nodes(fit, candidate, products, candidate.grid)
     return _promising(long, candidate.prior(candidate.grid[0]), least)
-    return solved_nodes(fit, candidate, products, candidate.grid)
 
 
 def solved_nodes(fit: Fit, candidate: JointCandidate, products: FrameProducts, nodes: list[Node]) -> Solved:
