@@ -20,7 +20,7 @@ class Backlash(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
     parameters: ClassVar = (Parameter("gap", "m", (0, 1e-3), (5e-6, 2e-4), role="size", joint=((0, 5e-2), (2e-5, 5e-3))),)
-    experiment: ClassVar = "a ladder of reversal amplitudes: every length approached from both sides"
+    experiment: ClassVar = "a ladder of reversal amplitudes: every position approached from both sides"
     action: ClassVar = "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
 
     def deviation(self, motion: Motion) -> np.ndarray:

@@ -37,7 +37,7 @@ class Effect:
     """Base of all effects.
 
     name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would expose it
-    action : what an owner can do about it, "{axis}" standing for strut or joint
+    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands for strut or joint in all
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
     discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
     rolls : rows of an image are exposed one after the other
@@ -53,6 +53,7 @@ class Effect:
     places: ClassVar[tuple[str, ...]] = ()
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     experiment: ClassVar[str] = ""
+    joint_experiment: ClassVar[str] = ""
     action: ClassVar[str] = ""
     on_pose: ClassVar[bool] = False
     sudden: ClassVar[bool] = False
@@ -236,6 +237,12 @@ class Effect:
     def parameters_at(cls, place: str) -> tuple[Parameter, ...]:
         """The parameters with their units, bounds and usual sizes at a place."""
         return tuple(p.at(place) for p in cls.parameters)
+
+    @classmethod
+    def experiment_at(cls, place: str) -> str:
+        """What would expose it at a place, in words."""
+        joint = place.startswith("joint")
+        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis="joint" if joint else "strut")
 
     @classmethod
     def action_at(cls, place: str) -> str:

@@ -37,7 +37,7 @@ def entry(effect: type[Effect]) -> str:
     return (f"\n### {effect.name}\n\n{_prose(effect.__doc__)}\n\n"
             f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
             "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-            f"Shown by: {effect.experiment}.\n\nWhat to do: {effect.action.format(axis='axis')}\n")
+            f"Shown by: {effect.experiment.format(axis='axis')}.\n\nWhat to do: {effect.action.format(axis='axis')}\n")
 
 
 def row(p: Parameter, effect: type[Effect]) -> str:

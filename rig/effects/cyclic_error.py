@@ -28,6 +28,7 @@ class CyclicError(Effect):
                             Parameter("phase", "rad", (-7, 7), (-3.1416, 3.1416), role="phase"),
                             Parameter("order", "", (0.05, 20), (1, 2), role="even", joint=((0.05, 1e4), (1, ORDERS))))
     experiment: ClassVar = "steps that are no whole part of the pitch, over several turns of one screw"
+    joint_experiment: ClassVar = "steps that are no whole part of a gear's or an encoder's turn, over the whole travel of that joint"
     action: ClassVar = "Look at the {axis}'s bearings, gear and coupling for run-out; a table of one turn in the controller takes it out."
     form: ClassVar = "sinusoid"
     own_axis: ClassVar = 2

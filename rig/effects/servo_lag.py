@@ -24,7 +24,7 @@ class ServoLag(Effect):
     parameters: ClassVar = (Parameter("time_constant", "s", (0, 1), (1e-3, 5e-2), role="size"),)
     moving: ClassVar = True
     experiment: ClassVar = ("expose soon after reversals at full speed (plan zigzag), or time the cameras by an external clock: "
-                            "all struts alike is also a time offset")
+                            "all {axis}s alike is also a time offset")
     action: ClassVar = "Raise the drive's gain or feed its speed forward; poses at rest are not touched."
 
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:

@@ -21,7 +21,7 @@ class ThermalExpansion(Effect):
     stage: ClassVar = "struts"
     places: ClassVar = ("axis", "rig")
     parameters: ClassVar = (Parameter("coefficient", "1/K", (-1e-4, 1e-4), (9e-6, 2.4e-5)),)
-    experiment: ClassVar = "heat the struts, or log their temperatures: without a log it is a warm-up"
+    experiment: ClassVar = "heat the {axis}s, or log their temperatures: without a log it is a warm-up"
     action: ClassVar = "Let the machine reach its temperature, or correct lengths by the logged temperatures."
 
     def needs(self, motion: Motion) -> str | None:

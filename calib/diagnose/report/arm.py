@@ -13,6 +13,7 @@ from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.arm.candidates import SPAN, Form
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.fit import Term
+from calib.diagnose.problems.arm.nonlinear import joint_covariance
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
 from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, write
@@ -85,10 +86,12 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     """{name: Value} of a finding; intervals allow for the dispersion seen."""
     fit, number = d.fit, finding.number
     one, theta = fit.terms[number], fit.theta[fit.slices[number]]
-    covariance = fit.covariance(number) * finding.score.dispersion
     candidate = one.candidate
     if candidate.form is Form.SINUSOID:
         return _cycle(d, finding, theta)
+    joint = joint_covariance(fit, number)
+    covariance = joint.covariance[: len(theta), : len(theta)] * finding.score.dispersion
+    bounds = {p.name: p.bounds for p in candidate.kind.parameters_at(candidate.place)}
     units = {p.name: p.unit for p in candidate.kind.parameters_at(candidate.place)}
     sigma = Z95 * np.sqrt(np.diag(covariance))
     effect = candidate.effect(one.node, theta)
@@ -102,8 +105,11 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     name = spec.linear[0].name if spec.linear else candidate.sought
     value = float(theta[0])
     out = {name: Value(value, units[name], [value - float(sigma[0]), value + float(sigma[0])])}
+    spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
+    spread = {n: float(s) for n, s in zip(joint.names, spreads)}
     roles = {p.name: p.role for p in effect.parameters}
-    return out | {key: moment(d.arms.t, v, d.origin) if roles[key] == "moment" else Value(v, units[key])
+    return out | {key: moment(d.arms.t, v, d.origin) if roles[key] == "moment"
+                  else Value(v, units[key], [max(v - spread[key], bounds[key][0]), min(v + spread[key], bounds[key][1])] if key in spread else None)
                   for key, v in one.node.items() if key in units and key != name}
 
 
@@ -142,7 +148,7 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
 def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
     candidate, score = d.fit.terms[finding.number].candidate, finding.score
     others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
-                                    experiment(candidate.name, a.score.candidate.name), a.score.node.get("order")) for a in finding.alternatives)
+                                    experiment(candidate, a.score.candidate), a.score.node.get("order")) for a in finding.alternatives)
     evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
     return FindingEntry(candidate.name, candidate.place, parameters(d, finding), evidence, others, candidate.kind.action_at(candidate.place))
 

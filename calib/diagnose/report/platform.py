@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.diagnose.engine.candidates import Candidate
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.select import Finding
@@ -96,9 +97,10 @@ def fit_entry(fit: CrossValidation) -> FitEntry:
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 
-def experiment(a: str, b: str) -> str:
-    """What would tell two effects apart, in words."""
-    return BY_NAME[a].experiment if a == b else f"{a}: {BY_NAME[a].experiment}; {b}: {BY_NAME[b].experiment}"
+def experiment(a: Candidate | Effect, b: Candidate) -> str:
+    """What would tell two hypotheses apart, in words."""
+    shown = [BY_NAME[one.name].experiment_at(one.place) for one in (a, b)]
+    return shown[0] if a.name == b.name else f"{a.name}: {shown[0]}; {b.name}: {shown[1]}"
 
 
 def _swapped(effect: MarkerSwap) -> FindingEntry:
@@ -119,7 +121,7 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
     evidence = Evidence(score.delta_bic(refined.model.size), min(1.0, score.p_value * d.selection.asked), proof.before, proof.after, proof.unit,
                         proof.gain)
     others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
-                                    experiment(effect.name, a.score.candidate.name)) for a in finding.alternatives)
+                                    experiment(effect, a.score.candidate)) for a in finding.alternatives)
     parameters = _parameters(refined, finding.number, effect, d.origin)
     return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place))
 

@@ -139,7 +139,7 @@ def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
         moved = [arms.measured(spec.effect(node, unit).sway(motion)) / column.step for unit, column in zip(units, spec.linear)]
         return np.stack(moved, axis=-1)
-    out = spec.deviation(node, motion)[:, joint] if not _retimes(spec.kind) else _retimed(spec, node, arms)[:, joint]
+    out = (_retimed(spec, node, arms) if _retimes(spec.kind) else spec.deviation(node, motion))[:, joint].copy()  # kept without the other joints
     return (out if spec.linear else out / next(iter(node.values())))[:, None, :]
 
 

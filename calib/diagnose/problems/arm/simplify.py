@@ -7,6 +7,7 @@ import numpy as np
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.problems.arm.candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnose.problems.arm.fit import Fit, Term, fit
+from calib.diagnose.problems.arm.nonlinear import at_best, sought
 from calib.diagnose.problems.arm.search import search
 from rig.effects.candidate import COUNT
 
@@ -63,10 +64,16 @@ def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | Non
 
 
 def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles with as many knots and sinusoids of just the order that pay now that others are admitted; all is weighed anew.
+    """Profiles with as many knots, sinusoids of just the order and all else with just the nonlinear parameters that pay now that others are
+    admitted; all is weighed anew.
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
+    for one in [t for t in now.terms if sought(t) and t.stale(now.scatter[0])]:
+        rest = now.without_terms(_numbers(now, one))
+        found = at_best(rest, one)
+        trial = rest.with_terms([replace(found, level=float(now.scatter[0]))])
+        now = trial if trial.criterion() < now.criterion() else rest.with_terms([replace(one, level=float(now.scatter[0]))])
     for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
         rest = now.without_terms(_numbers(now, one))
         best = search(rest, [_about(one)], cluster=policy.cluster)
