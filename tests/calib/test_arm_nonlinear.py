@@ -43,8 +43,11 @@ def test_a_range_between_two_values_of_its_grid_is_found_with_its_weight_and_not
 
 @pytest.mark.slow
 def test_intervals_of_range_and_weight_cover():
-    z = np.array([scores(found(seed)) for seed in range(10, 40)])
-    assert 0.88 <= (np.abs(z) < 1.96).mean() <= 1.0
+    fits = [found(seed) for seed in range(10, 40)]
+    named = [fit for fit in fits if any(t.candidate.name == "hysteresis" for t in fit.terms)]
+    assert len(named) >= 28, "a backlash is hardly told from loops as wide as most moves"
+    z = np.array([scores(fit) for fit in named])
+    assert (np.abs(z) < 1.96).mean() >= 0.88
     assert np.abs(z.mean(axis=0)).max() < 0.5
 
 

@@ -14,9 +14,10 @@ from calib.diagnose.engine.select import prune
 from calib.diagnose.problems.arm import lack_of_fit as remainder
 from calib.diagnose.problems.arm.candidates import JointCandidate, JointScore
 from calib.diagnose.problems.arm.fit import Fit, Term, fit
+from calib.diagnose.problems.arm.nonlinear import sought
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.arm.search import column_of, confined, search
-from calib.diagnose.problems.arm.simplify import FINE, QUICK, gathered, opened, sharpened, simplified
+from calib.diagnose.problems.arm.simplify import FINE, QUICK, bettered, gathered, opened, sharpened, simplified
 from calib.samples import blocks
 
 ALIASES = 3  # other orders of a sinusoid that are looked at
@@ -101,6 +102,7 @@ class ArmProblem:
     def simplified(self, now: Fit) -> Fit:
         now = gathered(now, self.candidates, self.train, self.policy)
         now = prune(self, simplified(now, self.candidates, self.train, self.policy))
+        now = bettered(now, [term for term in now.terms if sought(term)])
         return fit(self.arms, now.terms, self.train, now.weighing)
 
     def wald(self, fit: Fit, number: int) -> Wald:

@@ -69,11 +69,7 @@ def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fi
 
     A term is looked at again once the scatter has changed to speak of. train : (n,) bool, or None for all poses
     """
-    for one in [t for t in now.terms if sought(t) and t.stale(now.scatter[0])]:
-        rest = now.without_terms(_numbers(now, one))
-        found = at_best(rest, one)
-        trial = rest.with_terms([replace(found, level=float(now.scatter[0]))])
-        now = trial if trial.criterion() < now.criterion() else rest.with_terms([replace(one, level=float(now.scatter[0]))])
+    now = bettered(now, [t for t in now.terms if sought(t) and t.stale(now.scatter[0])])
     for one in [t for t in now.terms if t.candidate.form in (Form.PROFILE, Form.SINUSOID) and t.stale(now.scatter[0])]:
         rest = now.without_terms(_numbers(now, one))
         best = search(rest, [_about(one)], cluster=policy.cluster)
@@ -81,6 +77,15 @@ def sharpened(now: Fit, train: np.ndarray | None, policy: SelectionPolicy) -> Fi
         trial = rest.with_terms([replace(Term.at(one.candidate, best[0].node) if better else one, level=float(now.scatter[0]))])
         now = trial if not better or one.candidate.form is Form.PROFILE or trial.criterion() < now.criterion() else now
     return fit(now.arms, now.terms, train, now.weighing, rounds=QUICK)
+
+
+def bettered(now: Fit, terms: list[Term]) -> Fit:
+    """The Fit with some of its terms at the best of their nonlinear parameters, weights of the poses as they are."""
+    for one in terms:
+        rest, level = now.without_terms(_numbers(now, one)), float(now.scatter[0])
+        trial = rest.with_terms([replace(at_best(rest, one), level=level)])
+        now = trial if trial.criterion() < now.criterion() else rest.with_terms([replace(one, level=level)])
+    return now
 
 
 def _about(one: Term) -> JointCandidate:
