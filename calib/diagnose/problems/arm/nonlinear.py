@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +53,12 @@ def at_best(rest: Fit, term: Term) -> Term:
         return -float(solve_with_prior(normal, term.candidate.prior(node)).delta_chi2[0])
 
     node = dict(term.node)
+
+    def along(name: str, value: float) -> float:
+        return loss({**node, name: value})
+
     for p in between(term):
-        node[p.name] = _least(lambda value, p=p: loss({**node, p.name: value}), node[p.name], [n[p.name] for n in term.candidate.grid], p)
+        node[p.name] = _least(partial(along, p.name), node[p.name], [n[p.name] for n in term.candidate.grid], p)
     return replace(term, node=node, weights=term.candidate.weights(node), prior=term.candidate.prior(node))
 
 
