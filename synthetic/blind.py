@@ -91,7 +91,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
-    plan = _protocol(frames, rng, blindfold)
+    plan = _protocol(frames, rng, blindfold, images)
     route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in blindfold)
     duration = float(route.t[-1])
     effects = [_effect(e, design, route, rng) for e in hidden]
@@ -115,13 +115,16 @@ def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str
     return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
 
 
-def _protocol(frames: int, rng: np.random.Generator, blindfold: Sequence[str]) -> str:
-    """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order."""
+def _protocol(frames: int, rng: np.random.Generator, blindfold: Sequence[str], again: bool = False) -> str:
+    """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order.
+
+    again : whether ladders and repeats are always among them, where markers come back to the same pixels
+    """
     parts = ["sobol", "sobol"]
-    parts += ["ladder"] * (rng.random() < 0.85 and "reversals" not in blindfold)
+    parts += ["ladder"] * ((again or rng.random() < 0.85) and "reversals" not in blindfold)
     parts += ["payload"] * (rng.random() < 0.8 and "payload" not in blindfold)
     parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(blindfold) else 0)
-    parts += ["repeat"] * (rng.random() < 0.3)
+    parts += ["repeat"] * (again or rng.random() < 0.3)
     share = {"sobol": 3.0, "ladder": 2.5, "payload": 1.5, "moving": 1.0, "repeat": 1.0}
     weights = np.array([share[part] for part in parts]) * rng.uniform(0.7, 1.3, len(parts))
     counts = frames * weights / weights.sum()

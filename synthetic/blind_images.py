@@ -11,7 +11,7 @@ from synthetic.printing import Printing, drawn
 
 KINDS = ("nothing", "one", "two")  # of what is hidden: a disturbance of corners has no picture, an outlaw seldom one
 FRAMES = 40  # of a recording by default
-RESOLUTIONS = ((640, 512), (1280, 1024))  # px
+RESOLUTIONS = ((640, 512), (960, 768), (1280, 1024))  # px
 LENSES = ("[-0.1, 0.08, 0.0, 0.0, 0.0]", "[-0.25, 0.1, 0.0004, -0.0003, 0.0]")  # OpenCV k1 k2 p1 p2 k3; the first is the layout's
 BLUR, DEFOCUS, VIGNETTING, READ_NOISE = (0.4, 0.9), (0.0, 0.8), (0.0, 0.3), (0.5, 2.0)  # px, px, share, grey levels
 PLACE, SIDE = (1e-6, 5e-6), (2e-5, 1.2e-4)  # m of a marker's place, share of its side: standard deviations of how they are printed

@@ -52,7 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--mechanism", choices=("hexapod", "arm"), default="hexapod", help="of the rigs (default hexapod): an arm's trials hide "
                         "nothing, one or two effects of its joints, a third of them under real recordings' hardships; no --blindfold")
     parser.add_argument("--blindfold", metavar="WHAT", default="", help="take away, joined by commas: temperature, payload, reversals, motion")
-    parser.add_argument("--images", action="store_true", help="draw images: two resolutions and lenses, blur, defocus, noise, vignetting, markers "
+    parser.add_argument("--images", action="store_true", help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
                         "printed as printers print; effects that pictures show (needs OpenGL)")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
     parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
