@@ -1,19 +1,24 @@
-"""rig diagnose REC --out DIR [--calibration FILE]."""
+"""rig diagnose REC --out DIR [--calibration FILE] [--assume 'EFFECT PLACE'] [--from DIR] [--mask FRAMES]."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig import json_file
 from rig.commands import checking
 from rig.commands.output import Progress, add_force, add_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    from calib.diagnose.engine.given import Given
     from calib.diagnose.report.schema import Report
     from calib.store import Calibration
     from rig.recording import Recording
+
+    Known = tuple[Calibration | None, Given]  # of another recording, and beforehand
 
 MENTIONED = 4  # remarks in the terminal
 
@@ -26,6 +31,10 @@ def arguments(parser: ArgumentParser) -> None:
                         "so that less can hide in them")
     parser.add_argument("--only", metavar="EFFECT", action="append", help="ask for this effect alone (or 'EFFECT PLACE'); may be given again")
     parser.add_argument("--without", metavar="EFFECT", action="append", default=[], help="leave this effect out; may be given again")
+    parser.add_argument("--assume", metavar="'EFFECT PLACE'", action="append", default=[], help="take this effect to be there: it is fitted from the "
+                        "start and stays, whatever the recording says of it; may be given again")
+    parser.add_argument("--from", metavar="DIR", type=Path, dest="before", help="what another diagnosis found: begin with its findings, each of "
+                        "which has to stand here as well")
     add_force(parser)
     checking.argument(parser)
 
@@ -46,34 +55,62 @@ def run(arguments: Namespace) -> None:
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
     diagnosed = _arm if recording.design.mechanism.kind == "arm" else _platform
-    _print(diagnosed(recording, arguments, calibration, out, progress))
+    _print(diagnosed(recording, arguments, (calibration, _given(arguments, recording)), out, progress))
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
-def _arm(recording: Recording, arguments: Namespace, calibration: Calibration | None, out: Path, progress: Progress) -> Report:
+def _given(arguments: Namespace, recording: Recording) -> Given:
+    """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no diagnosis."""
+    from calib.diagnose.engine.given import Given
+    from rig.effects import BY_NAME
+    from rig.effects.parse import site
+
+    before = []
+    if arguments.before is not None:
+        path = arguments.before / "diagnosis.json"
+        table = json_file.load(path, "diagnosis", "diagnosis/1")
+        for finding in table.tables("findings"):
+            name, place = finding.text("effect"), finding.text("place")
+            if name in BY_NAME and not BY_NAME[name].discrete:
+                try:
+                    before.append(site(f"{name} {place}", recording.design))
+                except RigError as error:
+                    raise RigError(f"{path} is of another rig: {error}") from None
+    return Given(tuple(site(text, recording.design) for text in arguments.assume), tuple(before))
+
+
+def _said(arguments: Namespace) -> tuple[str, ...]:
+    """The operator's words, as options."""
+    words = (("--only", arguments.only or []), ("--without", arguments.without), ("--assume", arguments.assume), ("--from", [arguments.before]),
+             ("--mask", [arguments.mask]), ("--calibration", [arguments.calibration]))
+    return tuple(f"{option} {text}" for option, texts in words for text in texts if text is not None)
+
+
+def _arm(recording: Recording, arguments: Namespace, known: Known, out: Path, progress: Progress) -> Report:
     """Report of an arm's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.diagnose import diagnose
     from calib.diagnose.report import arm
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
+    calibration, given = known
     if calibration is not None:
         raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
-    found = diagnose(recording, arguments.only, tuple(arguments.without), progress)
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, given), said=_said(arguments))
     report = arm.report(found)
     arm.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named))
     return report
 
 
-def _platform(recording: Recording, arguments: Namespace, calibration: Calibration | None, out: Path, progress: Progress) -> Report:
+def _platform(recording: Recording, arguments: Namespace, known: Known, out: Path, progress: Progress) -> Report:
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
     from calib.diagnose.problems.platform.diagnose import diagnose
     from calib.diagnose.report import platform
     from calib.diagnose.report.page import diagnosis_page
     from calib.diagnose.report.platform_view import PlatformView
 
-    found = diagnose(recording, arguments.only, tuple(arguments.without), progress, calibration)
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, *known), said=_said(arguments))
     report = platform.report(found)
     platform.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found))
@@ -85,7 +122,7 @@ def _print(report: Report) -> None:
     from calib.diagnose.report.words import line
 
     for finding in report.findings:
-        print(line(finding))
+        print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
     if report.remarks:

@@ -59,16 +59,18 @@ def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
     """Add REC, a recording whose images are read, and what is done about those that cannot be. text : help about it, or None."""
     parser.add_argument("recording", metavar="REC", type=Path, help=text)
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+    parser.add_argument("--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt")
 
 
 def read_recording(arguments: Namespace) -> Recording:
     """The Recording of the arguments that `add_recording` adds; images left out are named on standard error."""
     from rig import recording as recordings
+    from rig.masking import masked
 
     found = recordings.load(arguments.recording, arguments.skip_unreadable)
     for image in found.skipped:
         print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
-    return found
+    return found if arguments.mask is None else masked(found, arguments.mask)
 
 
 def file_or_stdout(text: str) -> Path:

@@ -103,6 +103,19 @@ def asked(text: str, design: Design) -> str:
     return text
 
 
+def site(text: str, design: Design) -> tuple[str, str]:
+    """(effect, place) of "EFFECT PLACE", as a diagnosis takes it to be there. Raises RigError for what no diagnosis can begin with."""
+    name, _, place = text.partition(" ")
+    kind = _named(name, text)
+    if kind.discrete:
+        raise RigError(f"{shown(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml")
+    try:
+        effect = placed(check(kind(_place(place.strip(), kind))), design)
+    except ValueError as error:
+        raise RigError(f"{shown(text)}: {error}") from None
+    return effect.name, effect.place
+
+
 def placed(effect: Effect, design: Design) -> Effect:
     """The effect itself. Raises RigError where a design has no such place."""
     kind, _, name = effect.place.partition(" ")

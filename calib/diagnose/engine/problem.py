@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.policy import SelectionPolicy
@@ -35,6 +36,10 @@ class Problem(Protocol[Fit, Model, C]):
     @property
     def candidates(self) -> list[C]:
         """All that it is asked for."""
+
+    @property
+    def given(self) -> Given:
+        """What is said beforehand."""
 
     def start(self) -> Fit:
         """The Fit with nothing admitted."""

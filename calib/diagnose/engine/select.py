@@ -48,14 +48,26 @@ def labelled(progress: Progress | None, label: str) -> Any:
 def select(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Selection[Fit, C]:
     """Selection of the terms that a problem needs. progress : called with (label, done, of), or None"""
     before = problem.start()
-    fit = pay(problem, problem.simplified(_forward(problem, before, progress)))
+    fit = pay(problem, problem.simplified(_forward(problem, begun(problem, before), progress)))
     fit, findings = _confirm(problem, fit, progress)
     return Selection(before, fit, findings, len(problem.candidates))
 
 
 def choose(problem: Problem[Fit, Model, C], progress: Progress | None = None) -> Fit:
     """The Fit that `select` finds before its terms are held against alternatives: what a stretch held out is predicted with."""
-    return pay(problem, problem.simplified(_forward(problem, problem.start(), progress)))
+    return pay(problem, problem.simplified(_forward(problem, begun(problem, problem.start()), progress)))
+
+
+def begun(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
+    """The Fit with what is said beforehand admitted, each at its best beside those before it."""
+    for site in problem.given.first:
+        own = [c for c in problem.open(fit) if (c.name, c.place) == site]
+        model = problem.residual(fit)
+        size = problem.linear(model).size
+        scores = problem.search(model, own, -np.inf, None)
+        if scores:
+            fit = problem.add_term(fit, max(scores, key=lambda s: s.evidence(size)))
+    return problem.refined(fit) if problem.given.first else fit
 
 
 def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit:
@@ -143,11 +155,12 @@ def _smooth_beyond(problem: Problem[Fit, Model, C], model: Model, best: Score[C]
 
 def prune(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that the others have made needless."""
-    while problem.terms(fit):
+    while not all(map(problem.given.holds, problem.terms(fit))):
         gains = []
         for number, candidate in enumerate(problem.terms(fit)):
             wald = problem.wald(fit, number)
-            gains.append(wald.statistic - (wald.freedom + candidate.extra) * np.log(problem.size(fit)))
+            gain = wald.statistic - (wald.freedom + candidate.extra) * np.log(problem.size(fit))
+            gains.append(np.inf if problem.given.holds(candidate) else gain)
         worst = int(np.argmin(gains))
         if gains[worst] >= problem.policy.delta_bic:
             break
@@ -158,12 +171,13 @@ def prune(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
 def pay(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
     """The Fit without terms that do not pay on stretches held out, where the policy asks that at the end."""
     least = problem.policy.final_gain
-    while least is not None and problem.terms(fit):
-        gains = problem.heldout_gains(fit, list(range(len(problem.terms(fit)))))
+    while least is not None and not all(map(problem.given.holds, problem.terms(fit))):
+        loose = [number for number, candidate in enumerate(problem.terms(fit)) if not problem.given.holds(candidate)]
+        gains = problem.heldout_gains(fit, loose)
         worst = int(np.argmin(gains))
         if gains[worst] >= least:
             break
-        fit = problem.remove_term(fit, worst)
+        fit = problem.remove_term(fit, loose[worst])
     return fit
 
 
@@ -177,10 +191,10 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         if number == len(problem.terms(fit)):
             break
         model, size = problem.without_term(fit, number), problem.size(fit)
-        own = problem.rescored(model, fit, number)
+        own, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         if not convincing(own, count, size, policy) and own.p_value * count <= policy.hidden:
             own = sharpened(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
-        if not convincing(own, count, size, policy) or _outdone(problem, model, own):  # beside all others it is none
+        if not held and (not convincing(own, count, size, policy) or _outdone(problem, model, own)):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
         found = alternatives_of(problem, model, own, labelled(progress, f"alternatives of {own.candidate.name}"))
@@ -188,7 +202,7 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         rest = [a for a in found if not any(a is t.scanned for t in tries)]
         ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
         better = next((t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None)
-        if better is not None and convincing(better.alternative.score, count, size, policy):
+        if better is not None and not held and convincing(better.alternative.score, count, size, policy):
             fit, findings = problem.in_place(better.fit, number), []
             continue
         findings.append(Finding(number, own, [a for a in ranked if alike(a, policy)]))
@@ -211,7 +225,7 @@ def supported(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], lef
     as well, or which explain less than they leave at their place."""
     fit, gone = selection.fit, []
     for f in selection.findings:
-        model = problem.covered(fit, f.number, left)
+        model = None if problem.given.holds(f.score.candidate) else problem.covered(fit, f.number, left)
         if model is None:
             continue
         larger = any(u.delta_chi2 > f.score.delta_chi2 for u in left if u.depends_on and problem.within(u, f.score.candidate.place))

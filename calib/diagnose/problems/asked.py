@@ -1,7 +1,10 @@
 """What of the catalogue a diagnosis is asked for: effects, or effects at places, alone or left out."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from calib.diagnose.engine.candidates import Candidate, NotAsked
+from calib.diagnose.engine.given import Given
 from rig.errors import RigError
 
 
@@ -11,6 +14,16 @@ class Asked:
 
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(only: Iterable[str] | None, without: Iterable[str], given: Given) -> "Asked":
+        """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
+        asked = Asked(tuple(only or ()), tuple(without))
+        assumed = tuple(f"{name} {place}" for name, place in given.assumed)
+        out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
+        if out:
+            raise RigError(f"{' and '.join(out)} cannot be assumed and left out at once")
+        return Asked((*asked.only, *assumed) if asked.only else (), asked.without)
 
     def name(self, name: str) -> bool:
         """Whether an effect is asked for at any place."""
@@ -31,3 +44,13 @@ class Asked:
             name, _, place = text.partition(" ")
             if place and name in sites and place not in sites[name]:
                 raise RigError(f"{text!r}: {name} cannot sit at {place!r} in this recording; it can at {', '.join(sites[name])}")
+
+
+def answerable(given: Given, candidates: Sequence[Candidate], not_asked: Sequence[NotAsked]) -> Given:
+    """What is given itself. Raises RigError where a recording cannot be asked for what is assumed."""
+    there = {(c.name, c.place) for c in candidates}
+    for name, place in given.assumed:
+        if (name, place) not in there:
+            reasons = [s.reason for s in not_asked if s.effect == name]
+            raise RigError(f"{name} at {place} is assumed, but this recording cannot be asked for it" + (f": {reasons[0]}" if reasons else ""))
+    return given

@@ -42,12 +42,13 @@ def diagnosis_page(path: Path, report: Report, view: View) -> None:
     if report.findings:
         parts += ["<h2>Where</h2>", view.where([f.place for f in (*main, *report.unknown, *slight)])]
     for number, finding in enumerate(main):
-        parts += [f"<h2>{number + 1}. {words.title(finding)}{html.escape(words.size(finding))}</h2>", *_finding(finding, view)]
+        title = words.title(finding) + html.escape(words.size(finding)) + words.beforehand(finding)
+        parts += [f"<h2>{number + 1}. {title}</h2>", *_finding(finding, view)]
     if slight:
         parts += ["<h2>Significant, and of little account</h2>",
                   "<p>These are there beyond chance; without them, what was held out would be predicted as well.</p>"]
     for finding in slight:
-        parts += [f"<h3>{words.title(finding)}{html.escape(words.size(finding))}</h3>", *_slight(finding)]
+        parts += [f"<h3>{words.title(finding)}{html.escape(words.size(finding))}{words.beforehand(finding)}</h3>", *_slight(finding)]
     parts += ["<h2>What remains</h2>", *_remaining(report, view)]
     if report.remarks:
         parts += ["<h2>There, and nobody's fault</h2>",
@@ -93,6 +94,7 @@ def _remaining(report: Report, view: View) -> list[Part]:
 
 def _asked(report: Report, view: View) -> str:
     asked = f"<p>{view.asked} hypotheses, an effect at a place each, were held against the recording.</p>"
+    asked += f"<p>Said by the operator beforehand: {html.escape('; '.join(report.said))}.</p>" if report.said else ""
     if not report.not_asked:
         return asked + "<p>The whole catalogue could be asked for.</p>"
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]

@@ -24,6 +24,7 @@ from calib.diagnose.report.schema import (
     Report,
     Unexplained,
     Value,
+    said_of,
     write,
 )
 from rig import machine_file
@@ -43,7 +44,7 @@ def report(d: PlatformDiagnosis) -> Report:
     found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)))
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), d.said)
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:
@@ -123,7 +124,8 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
     others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
                                     experiment(effect, a.score.candidate)) for a in finding.alternatives)
     parameters = _parameters(refined, finding.number, effect, d.origin)
-    return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place))
+    return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place),
+                        said_of(d.given, effect.name, effect.place))
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:

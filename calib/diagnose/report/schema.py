@@ -5,10 +5,12 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.diagnose.engine.given import Given
 from rig.files import write_text
 
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
+ASSUMED, SEEN_BEFORE = "assumed", "seen before"
 UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
 
 
@@ -51,7 +53,8 @@ class AlternativeEntry:
 
 @dataclass(frozen=True, slots=True)
 class FindingEntry:
-    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it"""
+    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it
+    said : "assumed" where the operator took it to be there, "seen before" where the search began with it, else None"""
 
     effect: str
     place: str
@@ -59,12 +62,13 @@ class FindingEntry:
     evidence: Evidence = field(default_factory=Evidence)
     cannot_be_told_from: tuple[AlternativeEntry, ...] = ()
     action: str | None = None
+    said: str | None = None
 
     @property
     def matters(self) -> bool:
-        """Whether it changes what was held out by more than next to nothing; what was found before all else always does."""
+        """Whether it changes what was held out by more than next to nothing; what is assumed or was found before all else always does."""
         before, after = self.evidence.heldout_before, self.evidence.heldout_after
-        return before is None or after is None or before**2 - after**2 > (NOTHING * after) ** 2
+        return self.said == ASSUMED or before is None or after is None or before**2 - after**2 > (NOTHING * after) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +115,7 @@ class Report:
     """Of one recording. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
     fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
+    said : what the operator said beforehand, as options
     more : what one kind of machine has to say besides"""
 
     recording: str
@@ -122,6 +127,7 @@ class Report:
     fit: FitEntry
     not_asked: tuple[NotAskedEntry, ...]
     remarks: tuple[RemarkEntry, ...] = ()
+    said: tuple[str, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -153,6 +159,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(v) for name, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
+
+
+def said_of(given: Given, effect: str, place: str) -> str | None:
+    """What was said beforehand of an effect at a place."""
+    site = (effect, place)
+    return ASSUMED if site in given.assumed else SEEN_BEFORE if site in given.before else None
 
 
 def write(folder: Path, report: Report) -> None:

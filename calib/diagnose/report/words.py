@@ -4,13 +4,14 @@ import html
 
 import numpy as np
 
-from calib.diagnose.report.schema import FindingEntry, FitEntry, RemarkEntry, Report, Value
+from calib.diagnose.report.schema import ASSUMED, FindingEntry, FitEntry, RemarkEntry, Report, Value
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
 LONG = 4  # numbers of a vector that are written out
 CERTAIN = 1e-6  # a chance below which nobody counts
 CONVINCING = 10  # of the information criterion
+SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is one
 
 
 def number(value: float, unit: str, with_unit: bool = True) -> str:
@@ -40,6 +41,11 @@ def size(finding: FindingEntry | RemarkEntry) -> str:
     return ""
 
 
+def beforehand(finding: FindingEntry) -> str:
+    """" (assumed)" of what the operator said beforehand."""
+    return f" ({finding.said})" if finding.said else ""
+
+
 def sentence(text: str) -> str:
     """With a capital and a full stop."""
     return text[0].upper() + text[1:] + "."
@@ -54,7 +60,7 @@ def verdict(report: Report) -> str:
     if not report.named:
         return html.escape(f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise.")
     main = report.mattering or report.named
-    said = [f"{title(f)}{size(f)}" for f in main]
+    said = [f"{title(f)}{size(f)}{beforehand(f)}" for f in main]
     fewer = len(report.named) - len(main)
     slight = "1 more is significant and changes" if fewer == 1 else f"{fewer} more are significant and change"
     said += [f"{slight} what was held out by next to nothing"] if fewer else []
@@ -89,6 +95,9 @@ def how_sure(finding: FindingEntry) -> str:
     said = [f"held out, {number(e.heldout_before, e.unit)} without it and {number(e.heldout_after, e.unit)} with it{errors}",
             f"chance of such a finding where there is nothing: {chance(e.p_value)}",
             f"information criterion better by {e.delta_bic:.0f} ({CONVINCING} is convincing)"]
+    if finding.said == ASSUMED:
+        shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
+        said.append("it was assumed, and this recording " + ("shows it by itself as well" if shown else "would not have shown it by itself"))
     return f"How sure: {'; '.join(said)}."
 
 

@@ -10,6 +10,7 @@ from calib.arms.identify import Identified
 from calib.arms.model import moved
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
+from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.parallel import parallel_map
 from calib.diagnose.engine.problem import Progress
@@ -20,7 +21,7 @@ from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.poses import Arms, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
-from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
 from rig.design import Arm
@@ -51,7 +52,8 @@ class ArmDiagnosis:
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
     regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
-    left : [LackOfFit]; origin : of the owner's clock, which moments are told by"""
+    left : [LackOfFit]; origin : of the owner's clock, which moments are told by
+    given : what was said beforehand; said : the operator's words, as options"""
 
     recording: str
     source: str
@@ -68,46 +70,51 @@ class ArmDiagnosis:
     left: list[LackOfFit]
     regions: list[list[CrossValidation]] = field(default_factory=list)
     origin: Origin = Origin()
+    given: Given = Given()
+    said: tuple[str, ...] = ()
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None) -> ArmDiagnosis:
+def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
+             given: Given = UNSAID) -> ArmDiagnosis:
     """ArmDiagnosis of a Recording of an arm. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
+    given : what is in from the start
 
     Raises NotEnoughData where too little was measured, and what calibrating raises
     """
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
     arms, found = arms_of(sampled.samples, recording.design, recording.commands, sensors)
-    asked = Asked(tuple(only or ()), tuple(without))
-    return replace(diagnosed(arms, found, recording.folder.resolve().name, sampled.source, asked, progress), origin=recording.origin)
+    done = diagnosed(arms, found, recording.folder.resolve().name, sampled.source, Asked.of(only, without, given), progress, given=given)
+    return replace(done, origin=recording.origin)
 
 
 def diagnosed(arms: Arms, found: Identified, name: str, source: str, asked: Asked, progress: Progress | None = None,
-              coarse: bool = True) -> ArmDiagnosis:
+              coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
     """ArmDiagnosis of Arms linear about the Arm that was Identified; coarse : whether long stretches are held out as well."""
     candidates, not_asked = joint_candidates(arms, asked)
-    problem = ArmProblem(arms, candidates)
+    problem = ArmProblem(arms, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
     chosen = selection.fit
-    held = nested(arms, candidates, (FINE, COARSE) if coarse else (FINE,), progress)
+    held = nested(arms, candidates, (FINE, COARSE) if coarse else (FINE,), progress, given)
     again, step = repeats(chosen), np.zeros(len(found.free))
     step[found.free] = chosen.theta[: found.free.sum()]
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
     return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, lack_of_fit(chosen, again, problem.policy.cluster), regions)
+                        again, lack_of_fit(chosen, again, problem.policy.cluster), regions, given=given)
 
 
-def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
+def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,
+           given: Given = UNSAID) -> list[HeldOutPoses]:
     """HeldOutPoses over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
     parts = [stretches(len(arms), count) % PARTS for count in counts]
 
     def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         train = parts[one[0]] != one[1]
         with threadpool_limits(1):
-            chosen, bare = choose(ArmProblem(arms, candidates, train)), fit(arms, (), train)
+            chosen, bare = choose(ArmProblem(arms, candidates, train, given=given)), fit(arms, (), train)
         return bare.left[~train], chosen.left[~train], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
 
     things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.crossvalidate import FOLDS, STRETCHES, CrossValidation, left_out, signed_rank_gain, stretches
+from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.policy import ARM, SelectionPolicy
@@ -26,12 +27,14 @@ KNOWN = 0.5  # numbers that data must determine of a term for it to be tested
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmProblem:
-    """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all; policy : thresholds."""
+    """arms : Arms; candidates : asked for; train : (n,) bool, poses that may be fitted, None for all; policy : thresholds
+    given : what is said beforehand"""
 
     arms: Arms
     candidates: list[JointCandidate]
     train: np.ndarray | None = None
     policy: SelectionPolicy = ARM
+    given: Given = Given()
 
     def start(self) -> Fit:
         return fit(self.arms, (), self.train)
@@ -100,8 +103,8 @@ class ArmProblem:
         return sharpened(fit, self.train, self.policy)
 
     def simplified(self, now: Fit) -> Fit:
-        now = gathered(now, self.candidates, self.train, self.policy)
-        now = prune(self, simplified(now, self.candidates, self.train, self.policy))
+        now = gathered(now, self.candidates, self.train, self.policy, self.given)
+        now = prune(self, simplified(now, self.candidates, self.train, self.policy, self.given))
         now = bettered(now, [term for term in now.terms if sought(term)])
         return fit(self.arms, now.terms, self.train, now.weighing)
 

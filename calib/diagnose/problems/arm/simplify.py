@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.problems.arm.candidates import OWN_ANGLE, SPAN, Form, JointCandidate
 from calib.diagnose.problems.arm.fit import Fit, Term, fit
@@ -47,11 +48,15 @@ def resolved(profile: JointCandidate) -> float:
     return np.pi * (finest[COUNT] - 1) / max(high - low, 1e-9)
 
 
-def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well. train : (n,) bool, or None for all"""
+def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
+    """More sinusoids at a joint than a simple case has, made one profile, where that does about as well; what is given as assumed stays.
+
+    train : (n,) bool, or None for all
+    """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
         reach = resolved(candidate)
-        cycles = [i for i, t in enumerate(now.terms) if t.candidate.joint == candidate.joint and t.candidate.form in OWN_ANGLE
+        cycles = [i for i, t in enumerate(now.terms) if not given.holds(t.candidate) and t.candidate.joint == candidate.joint
+                  and t.candidate.form in OWN_ANGLE
                   and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)]
         if len(cycles) <= CYCLES:
             continue
@@ -100,9 +105,12 @@ def _about(one: Term) -> JointCandidate:
     return replace(candidate, grid=near)
 
 
-def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy) -> Fit:
-    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these. train : (n,) bool, or None for all poses"""
-    for one in [t for t in now.terms if t.candidate.form is Form.PROFILE]:
+def simplified(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
+    """Profiles in place of which one scale or a few sinusoids do as well, replaced by these; those given as assumed stay.
+
+    train : (n,) bool, or None for all poses
+    """
+    for one in [t for t in now.terms if t.candidate.form is Form.PROFILE and not given.holds(t.candidate)]:
         here, worth = now.without_terms(_numbers(now, one)), now.criterion()
         own = [c for c in candidates if c.joint == one.candidate.joint and c.form in (Form.SLOPE, Form.SINUSOID)]
         for left in range(CYCLES, 0, -1):

@@ -7,10 +7,11 @@ from threadpoolctl import threadpool_limits
 
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.select import select, supported
-from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.heldout import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
@@ -43,7 +44,8 @@ class PlatformDiagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
     moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
     selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
-    left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by"""
+    left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
+    given : what was said beforehand; said : the operator's words, as options"""
 
     recording: str
     source: str
@@ -57,6 +59,8 @@ class PlatformDiagnosis:
     not_asked: list[NotAsked]
     noise: Noise
     origin: Origin = Origin()
+    given: Given = Given()
+    said: tuple[str, ...] = ()
 
     @property
     def effects(self) -> list[Effect]:
@@ -73,21 +77,22 @@ class PlatformDiagnosis:
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             calibration: Calibration | None = None) -> PlatformDiagnosis:
+             calibration: Calibration | None = None, given: Given = UNSAID) -> PlatformDiagnosis:
     """PlatformDiagnosis of a Recording.
 
     only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
     progress : called with (label, done, of), or None
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
-    shows, and what has changed since. Raises NotEnoughData where too little was measured, and what measuring raises
+    shows, and what has changed since; given : what is in from the start
+    Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what measuring raises
     """
-    asked = Asked(tuple(only or ()), tuple(without))
+    asked = Asked.of(only, without, given)
     point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated")
     moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
     swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
     point = within_reach(exchanged(point, swapped))
     candidates, not_asked = platform_candidates(point, asked)
-    problem = PlatformProblem(point, candidates)
+    problem = PlatformProblem(point, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
     left = problem.lack_of_fit(problem.residual(selection.fit))
     if left:
@@ -102,7 +107,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
     return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
-                             not_asked, _noise(refined.model), recording.origin)
+                             not_asked, _noise(refined.model), recording.origin, given)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:

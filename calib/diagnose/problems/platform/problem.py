@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.diagnose.engine.crossvalidate import CrossValidation
+from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.policy import PLATFORM, SelectionPolicy
@@ -37,12 +38,14 @@ PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 
 @dataclass(slots=True, eq=False)
 class PlatformProblem:
-    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; sensitivities : kept from search to search
+    """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said beforehand
+    sensitivities : kept from search to search
     tolerant : whether what tolerances may do on their own is among the nuisances: from the start where they are seen to be at work"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
     policy: SelectionPolicy = PLATFORM
+    given: Given = Given()
     sensitivities: Sensitivities = field(init=False)
     tolerant: bool = field(init=False, default=False)
 

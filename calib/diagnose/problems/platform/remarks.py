@@ -37,7 +37,7 @@ def set_apart(problem: PlatformProblem, selection: PlatformSelection,
         return selection, left, Remarks([], [], [])
     matters, small = [], []
     for f in selection.findings:
-        reason = _reason(problem, selection, f, known)
+        reason = None if problem.given.holds(f.score.candidate) else _reason(problem, selection, f, known)
         if reason is None:
             matters.append(f)
         else:
