@@ -22,6 +22,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures, HeldOut
 from calib.certify.claim import Claim
 from calib.correct.correction import Correction
+from calib.correct.interpolate import kinds
 from calib.correct.interpolate.radial import Radial
 from rig import json_file
 from rig.design import Arm, Hexapod
@@ -84,6 +85,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS,
         "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
+        **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
@@ -113,7 +115,8 @@ def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm)
     axes = len(nominal.axes)
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
-    return Correction(nominal, fitted, _parts_in(tree, axes, False))
+    extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
+    return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension)
 
 
 def mechanism_out(mechanism: Hexapod | Arm) -> dict[str, Any]:
@@ -156,17 +159,7 @@ def _parts_in(tree: Entries, axes: int, arm: bool) -> tuple[Any, ...]:
     if not isinstance(listed, list) or len(listed) != axes or not all(part is None or isinstance(part, dict) for part in listed):
         tree.fail(f"remainder must list {axes} parts, each a table or null", "remainder")
     tables = [None if part is None else Entries(part, ("remainder", i), tree.file, tree.places) for i, part in enumerate(listed)]
-    return tuple(None if table is None else (_profile_in if arm else _radial_in)(table, axes) for table in tables)
-
-
-def _radial_in(table: Entries, axes: int) -> Radial:
-    inputs = table.array("inputs", (None, axes))
-    half, lengths = table.array("half", (axes,)), table.array("lengths", (2,))
-    for name, values in (("half", half), ("lengths", lengths)):
-        if (values <= 0).any():
-            table.fail(f"{table.name(name)} must be positive, not {values.tolist()}", name)
-    return Radial(table.array("centre", (axes,)), half, table.whole("axis", 0, most=axes - 1), inputs, table.array("weights", (len(inputs),)),
-                  table.array("sizes", (2,)), lengths, table.number("noise"))
+    return tuple(None if table is None else (_profile_in if arm else kinds.radial_from)(table, axes) for table in tables)
 
 
 def _profile_in(table: Entries, axes: int) -> Profile:

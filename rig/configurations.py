@@ -1,14 +1,17 @@
 """Which configurations to visit: evenly over a configuration space, on its grids and simplices, along and about the axes of space."""
 
+from collections.abc import Sequence
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import qmc
 
-from rig import mechanisms
+from rig import mechanisms, table
 from rig.design import Design, Hexapod
-from rig.errors import RigError
+from rig.errors import FileError, RigError
+from rig.outside import shown
 from rig.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
@@ -29,10 +32,64 @@ def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
 
 def _serpentine(axes: int, levels: np.ndarray) -> list[tuple]:
     """Grid points of levels on each axis in an order in which neighbours differ in one axis by one level."""
-    if axes == 0:
+    return _vertices([levels] * axes)
+
+
+def _vertices(levels: Sequence[np.ndarray]) -> list[tuple]:
+    """Grid points of each axis' own levels in an order in which neighbours differ in one axis by one level."""
+    if not len(levels):
         return [()]
-    inner = _serpentine(axes - 1, levels)
-    return [(level, *rest) for k, level in enumerate(levels) for rest in (inner if k % 2 == 0 else inner[::-1])]
+    inner = _vertices(levels[1:])
+    return [(level, *rest) for k, level in enumerate(levels[0]) for rest in (inner if k % 2 == 0 else inner[::-1])]
+
+
+def division(strokes: np.ndarray, text: str) -> np.ndarray:
+    """(vertices, axes) of the grid that divides every actuator's interval into Q parts, a sample set PM, serpentine.
+
+    strokes : (axes, 2); text : "3", parts of every axis, or "3x3x2x3x3x2", of each, evenly over the middle FILL of the strokes, or over
+    another share of them, "3@0.5"; or the name of a table axis,level with the levels of each axis, evenly or not, m or rad
+    Raises RigError for a text that is no division, FileError for a table with levels twice, beyond the strokes, or fewer than two of an axis
+    Source: configuration-space patent, [0028], [0031], [0032], [0126], [0127], [0145]
+    """
+    return np.array(_vertices(_levels_of_file(strokes, Path(text)) if text.endswith(".csv") else _levels_of_text(strokes, text)))
+
+
+def parts(axes: int, text: str) -> tuple[list[int], float]:
+    """(Q of each axis, share of the strokes) of a division's text. Raises RigError where it is none."""
+    numbers, _, share = text.partition("@")
+    found = numbers.split("x")
+    whole = all(one.isascii() and one.isdigit() and 1 <= len(one) <= 4 and int(one) for one in found)
+    try:
+        fill = float(share) if share else FILL
+    except ValueError:
+        fill = 0.0
+    if not whole or len(found) not in (1, axes) or not 0 < fill <= 1:
+        raise RigError(f"a division is the parts of every axis (3), of each of the {axes} (3x2x..), with a share of the strokes (3@0.5) up to 1 or "
+                       f"not, or a table axis,level (FILE.csv), not {shown(text)}")
+    return [int(one) for one in (found * axes if len(found) == 1 else found)], fill
+
+
+def _levels_of_text(strokes: np.ndarray, text: str) -> list[np.ndarray]:
+    counts, fill = parts(len(strokes), text)
+    middle, half = strokes.mean(axis=1), fill * np.ptp(strokes, axis=1) / 2
+    return [middle[i] + half[i] * np.linspace(-1, 1, count + 1) for i, count in enumerate(counts)]
+
+
+def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
+    rows = table.read(path, ("axis", "level"))
+    axis, level = rows.matrix(("axis", "level")).T
+    out = []
+    for i, (low, high) in enumerate(strokes):
+        mine = np.flatnonzero(axis == i + 1)
+        for k in mine[(level[mine] < low) | (level[mine] > high)]:
+            rows.fail(f"the level {level[k]:g} of axis {i + 1} is beyond its stroke, {low:g} to {high:g}", int(k))
+        levels = np.unique(level[mine])
+        if len(levels) < 2 or len(levels) < len(mine):
+            raise FileError(path, f"axis {i + 1} must have two levels or more, each once; it has {len(mine)}, {len(levels)} of them different")
+        out.append(levels)
+    for k in np.flatnonzero(~np.isin(axis, np.arange(1, len(strokes) + 1))):
+        rows.fail(f"there is no axis {axis[k]:g}: axes are 1 to {len(strokes)}", int(k))
+    return out
 
 
 def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import mechanisms, table
-from rig.configurations import FILL, along_and_about, grid, low_discrepancy, scaled, simplices
+from rig.configurations import FILL, along_and_about, division, grid, low_discrepancy, parts, scaled, simplices
 from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.origin import Origin
@@ -86,7 +86,8 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts.
 
-    Parts: sobol:N, grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N, moving:N, zigzag:N, warmup:N, repeat:N
+    Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N,
+    moving:N, zigzag:N, warmup:N, repeat:N
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
     """
     if not design.mechanism.axes:
@@ -98,11 +99,11 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
         name, _, count = part.strip().partition(":")
         if name not in PARTS:
             raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")
-        if name != "commands" and count and not (count.isascii() and count.isdigit() and count.strip("0")):
+        if name not in TEXTS and count and not (count.isascii() and count.isdigit() and count.strip("0")):
             raise RigError(f"plan {shown(text)}: {name} takes a whole number of at least 1, not {shown(count)}")
-        if name != "commands":
+        if name not in TEXTS:
             _refuse_endless(name, int(count.lstrip("0")[:12] or 0), len(strokes), len(writer.exposures), text)
-        PARTS[name](writer, design, count if name == "commands" else int(count or 0), rng)
+        PARTS[name](writer, design, count if name in TEXTS else int(count or 0), rng)
     if not writer.exposures:
         raise RigError(f"plan {shown(text)} exposes nothing")
     return writer.plan()
@@ -112,6 +113,10 @@ def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) ->
     """Raise RigError for a part that would make a plan of more than MOST exposures."""
     each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "ladder": 4.0 * axes * count,
             "payload": 3.0 * count}.get(name, count)
+    _refuse_beyond(name, str(count), each, before, text)
+
+
+def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -> None:
     if before + each > MOST:
         raise RigError(f"plan {shown(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
 
@@ -210,13 +215,24 @@ def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generat
         writer.settle(goal)
 
 
+def _division(writer: _Writer, design: Design, text: str, rng: np.random.Generator) -> None:
+    strokes = strokes_of(design)
+    if not text.endswith(".csv"):
+        each = float(np.prod([count + 1.0 for count in parts(len(strokes), text or "2")[0]]))
+        _refuse_beyond("division", text, each, len(writer.exposures), f"division:{text}")
+    for goal in division(strokes, text or "2"):
+        writer.settle(goal)
+
+
 PARTS = {
     "sobol": _visit(lambda design, count, rng: low_discrepancy(strokes_of(design), count or 100, seed=int(rng.integers(1 << 30)))),
     "grid": _visit(lambda design, count, rng: grid(strokes_of(design), count or 2)),
     "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
+    "division": _division,
 }
+TEXTS = ("commands", "division")  # parts that take more than a number
 
 
 def strokes_of(design: Design) -> np.ndarray:

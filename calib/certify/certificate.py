@@ -36,7 +36,8 @@ class Certified:
 
 
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
-    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters' and the struts' own scatter.
+    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters', the struts' own scatter and
+    what an extension may be off.
 
     docs/mathematics.md (21)
 
@@ -45,7 +46,10 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
     to_pose = np.linalg.inv(mechanism.jacobian(T_base_platform, fitted))
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + to_pose @ np.diag(calibration.scatter**2) @ np.swapaxes(to_pose, 1, 2)
+    own = np.broadcast_to(calibration.scatter**2, (len(J), 6))
+    if calibration.correction.extension is not None:
+        own = own + calibration.correction.extension.error(calibration.correction.inverse(T_base_platform)) ** 2
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (to_pose * own[:, None]) @ np.swapaxes(to_pose, 1, 2)
 
 
 def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,

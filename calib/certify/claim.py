@@ -142,16 +142,29 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Hexa
     if distinct < LEAST:
         return too_few(told, middle)
     commands = low_discrepancy(nominal.strut_range, PLACES, FILL)
-    commands, T = _closing(commands, correction)
+    commands, T = closing(commands, correction)
     offset = difference(T, mechanism.forward(commands, nominal))
     to_pose = np.linalg.inv(mechanism.jacobian(T, fitted))
     own = _scatters(found, rng) @ (to_pose**2).mean(axis=0).reshape(2, 3, 6).sum(axis=1).T
+    if correction.extension is not None:
+        own = own + extension_scatter(correction, commands, np.linalg.inv(to_pose))
     workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
     return claimed(workspace, draws, samples, told, rng)
 
 
-def _closing(commands: np.ndarray, correction: Correction[Hexapod, Radial]) -> tuple[np.ndarray, RigidTransform]:
+def extension_scatter(correction: Correction[Hexapod, Radial], commands: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """(2,) m^2 and rad^2, mean square of the pose's error by that of a Correction's extension at commands (m, axes).
+
+    jacobian : (m, axes, 6) of the struts with the pose there
+    """
+    if correction.extension is None:
+        return np.zeros(2)
+    square = np.linalg.inv(jacobian) ** 2 @ (correction.extension.error(commands) ** 2)[..., None]
+    return square.mean(axis=0).reshape(2, 3).sum(axis=1)
+
+
+def closing(commands: np.ndarray, correction: Correction[Hexapod, Radial]) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, 6) that close on a pose, and these poses."""
     try:
         return commands, correction.predict(commands)

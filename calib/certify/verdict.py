@@ -14,7 +14,7 @@ def verdict(claim: Claim) -> list[str]:
     rest = claim.unknowns - claim.determined
     told = (f"{claim.determined} of {claim.unknowns} combinations of the parameters are told by these poses"
             + (f", {claim.better} of them better than the owner's figures are" if claim.better < claim.determined else "")
-            + (f"; {rest} rest on the owner's figures" if rest else "") + f" ({claim.tolerance})")
+            + (f"; {rest} rest on the owner's figures" if rest else "") + f" ({claim.tolerance})") if claim.unknowns else claim.tolerance
     if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
         return [f"no factor is claimed: {claim.reason}", told,
                 "no held-out figure either: what is left at the recorded configurations would only say how well these are known"]

@@ -7,7 +7,7 @@ Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.identify.geometry import Identified, identify
 from calib.identify.tolerance import tolerance
 from calib.correct.interpolate import radial
+from calib.correct.interpolate.field import Field
 from calib.correct.interpolate.radial import Radial
 from calib.samples import Samples
 from rig import mechanisms
@@ -33,17 +34,23 @@ R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction(Generic[M, R]):
-    """nominal : the mechanism as its owner believes it; fitted : its smooth part; remainder : per axis a Radial or Profile, or None.
+    """nominal : the mechanism as its owner believes it; fitted : its smooth part, nominal itself where no parameters were sought
+    remainder : per axis a Radial or Profile, or None; extension : Field of what is left on top over all axes, or None.
     """
 
     nominal: M
     fitted: M
     remainder: tuple[R | None, ...]
+    extension: Field | None = field(default=None, kw_only=True)
 
     def rho(self, commands: np.ndarray) -> np.ndarray:
         """(..., axes) m, the remainder at commands (..., axes)."""
         commands = np.asarray(commands, float)
-        return np.stack([part(commands) if part is not None else np.zeros(commands.shape[:-1]) for part in self.remainder], axis=-1)
+        smooth = np.zeros(commands.shape) if self.extension is None else self.extension.value(commands)
+        for i, part in enumerate(self.remainder):
+            if part is not None:
+                smooth[..., i] += part(commands)
+        return smooth
 
     def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the mechanism."""
@@ -52,6 +59,21 @@ class Correction(Generic[M, R]):
     def summand(self, commands: np.ndarray) -> np.ndarray:
         """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model says for the pose it gives."""
         return commands - mechanisms.of(self.nominal).inverse(self.predict(commands), self.nominal)
+
+    def single_step(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """Commands (..., axes) m of the method's text for wanted poses (...): X + KSF(X), X = IK(wanted).
+
+        `inverse` makes it exact: there KSF is taken where the struts then stand. Source: configuration-space patent, [0027], [0030], [0090]
+        """
+        x = self.uncorrected(T_base_platform)
+        return x + self.summand(x)
+
+    def corrected_forward(self, configurations: np.ndarray) -> RigidTransform:
+        """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x (..., axes) gives.
+
+        Source: configuration-space patent, [0133] to [0135]
+        """
+        return mechanisms.of(self.nominal).forward(configurations + self.summand(configurations), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""

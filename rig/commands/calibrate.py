@@ -21,11 +21,17 @@ if TYPE_CHECKING:
     from rig.recording import Recording
 
 
+WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
+
+
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
+    parser.add_argument("--extend", choices=WAYS, metavar="WAY", help="extend the corrections at the recorded configurations over all of them: "
+                        f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or auto, by held-out error")
+    parser.add_argument("--alone", action="store_true", help="of --extend: correct the owner's model itself, with no geometry fitted first")
     add_force(parser)
     checking.argument(parser)
 
@@ -44,7 +50,14 @@ def run(arguments: Namespace) -> None:
 
     sampled = sample_recording(recording, progress=progress, look=look)
     rng = np.random.default_rng(SEED)
-    if recording.design.mechanism.kind == "arm":
+    if arguments.alone and not arguments.extend:
+        raise RigError("--alone says on what --extend stands; it takes one")
+    if arguments.extend and (arguments.joint or recording.design.mechanism.kind != "hexapod"):
+        raise RigError("--extend extends a hexapod's corrections" + (", and is not for --joint" if arguments.joint else
+                       f", not those of a mechanism of kind {recording.design.mechanism.kind!r}"))
+    if arguments.extend:
+        _extended(recording, sampled, (out, page), arguments, rng, progress)
+    elif recording.design.mechanism.kind == "arm":
         if arguments.joint:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
         _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
@@ -79,6 +92,39 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
     print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
+    _print_poses(sampled, done)
+
+
+def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], arguments: Namespace, rng: np.random.Generator,
+              progress: Progress) -> None:
+    from calib.certify.certificate import promised
+    from calib.certify.extended import Asked, certify_extended, promised_alone
+    from calib.certify.verdict import verdict
+    from calib.correct.extend import single_step_misses
+    from calib.report import calibration_page
+
+    samples = sampled.samples
+    done, tried = certify_extended(samples, recording.design.mechanism, Asked(arguments.extend, arguments.alone), rng, progress)
+    claim = promised_alone(samples, done, rng) if arguments.alone else promised(samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim)
+    if out[1]:
+        progress("drawing the page", 0, 1)
+        calibration_page(out[1], recording, calibration, samples, done.found)
+    progress.close()
+    print("\n".join(verdict(claim)))
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
+    for one in tried:
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses" if one.held_out is None else (
+            f"held out {one.held_out.after.position[0] * 1e3:.4f} mm, {one.held_out.after.rotation[0] * 1e3:.4f} mrad RMS")
+        print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
+    field = done.correction.extension
+    on = "the owner's model alone" if arguments.alone else "the fitted geometry"
+    rms, most = single_step_misses(done.correction)
+    print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
+          + (f"; exact at its {field.values.shape[0]} samples" if field is not None and field.exact else ""))
+    print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms * 1e6:.3f} um RMS, {most * 1e6:.3f} um "
+          "at most")
     _print_poses(sampled, done)
 
 

@@ -15,6 +15,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6 (an arm: q1..qn) to command")
     parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
+    parser.add_argument("--single-step", action="store_true", help="command X + KSF(X), the method's first step, not the fixed point that is exact")
     add_force(parser)
 
 
@@ -30,11 +31,12 @@ def run(arguments: Namespace) -> None:
     correction = store.load(arguments.calibration).correction
     wanted = recordings.load_poses(arguments.poses)
     out = arguments.outputs.file(arguments.out)
+    way = correction.uncorrected if arguments.uncorrected else correction.single_step if arguments.single_step else correction.inverse
     keep, refused = np.arange(len(wanted.frame)), []
     while len(keep):  # first what no command reaches, then what lies beyond the limits
         T = wanted.T_base_platform[keep]
         try:
-            commands = correction.uncorrected(T) if arguments.uncorrected else correction.inverse(T)
+            commands = way(T)
             reachable(commands, correction.nominal, [f"pose {i}" for i in range(len(keep))])
             break
         except Unreachable as error:
@@ -49,3 +51,9 @@ def run(arguments: Namespace) -> None:
     rows = [",".join([str(frame), *(f"{length:.10f}" for length in lengths)]) for frame, lengths in zip(wanted.frame[keep], commands)]
     writing.write_table(out, ("frame", *correction.nominal.axes), rows)
     print(f"{len(keep)} of {len(wanted.frame)} poses written to {arguments.out}")
+    field = correction.extension
+    if field is not None and not field.inside(commands).all():
+        print(f"{(~field.inside(commands)).sum()} of them lie beyond the samples of the correction: there it is extrapolated, continuously")
+    if arguments.single_step:
+        off = commands - correction.inverse(wanted.T_base_platform[keep])
+        print(f"the single step misses the fixed point by {np.abs(off).max():.3g} {'rad' if correction.nominal.kind == 'arm' else 'm'} at most")

@@ -70,4 +70,5 @@ def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], flo
     from calib import store
 
     correction = store.load(path).correction
-    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None], None
+    every = correction.extension is not None
+    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None or every], None

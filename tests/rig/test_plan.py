@@ -8,7 +8,7 @@ from rig.errors import FileError, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference
 
-EXPECTED = {"sobol": 100, "grid": 64, "simplices": 89, "axes": 54, "ladder": 96, "payload": 36, "moving": 60, "zigzag": 60,
+EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "ladder": 96, "payload": 36, "moving": 60, "zigzag": 60,
             "warmup": 48, "repeat": 30}
 
 

@@ -1,0 +1,169 @@
+"""What an extension over the configuration space promises, from configurations it was not fitted to; of several ways the best one there."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.certify.certificate import FOLDS, GAIN, Certified, Progress
+from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, closing, extension_scatter, too_few
+from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.held_out import HeldOut, compare, correlation
+from calib.correct.correction import Correction
+from calib.correct.extend import corrected, extend, geometry_of, left
+from calib.correct.interpolate import kinds
+from calib.correct.interpolate.field import Field
+from calib.correct.interpolate.grid import lattice
+from calib.correct.interpolate.weighted import Weighted
+from calib.identify.geometry import Identified, pose_jacobian
+from calib.samples import Samples
+from rig import mechanisms
+from rig.configurations import FILL, low_discrepancy
+from rig.design import Hexapod
+from rig.errors import RigError
+from rig.mechanisms import hexapod as mechanism
+from rig.pose import difference
+
+AUTO = "auto"
+NONE = "none"  # of the ways: the geometry, or the owner's model, as it is
+
+
+class Asked(NamedTuple):
+    """kind : one of `kinds.ALL`, or AUTO; alone : whether on the owner's model instead of on top of a fitted geometry."""
+
+    kind: str
+    alone: bool
+
+
+class Tried(NamedTuple):
+    """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or None; chosen : whether it was taken."""
+
+    kind: str
+    held_out: HeldOut | None
+    reason: str | None
+    chosen: bool
+
+
+def certify_extended(samples: Samples, nominal: Hexapod, asked: Asked, rng: np.random.Generator,
+                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+    """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
+
+    Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
+    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if it beats doing without by GAIN
+    standard errors. Raises RigError where the way asked for does not take these samples
+    """
+    said = progress or (lambda label, done, of: None)
+    label = labels(samples.commanded, ranges(nominal))
+    said("fitting the geometry", 0, 1)
+    found = geometry_of(samples, nominal, asked.alone)
+    known = left(samples, found)
+    said("fitting the geometry", 1, 1)
+    fields: dict[str, Field | None] = {NONE: None}
+    refused: dict[str, str] = {}
+    for name in kinds.ALL if asked.kind == AUTO else (asked.kind,):
+        said(f"extending: {name}", 0, 1)
+        try:
+            fields[name] = extend(known, name)
+        except RigError as error:
+            if asked.kind != AUTO:
+                raise
+            refused[name] = str(error)
+    splits = _splits(samples, label, nominal)
+    outcome = None if not splits else _held_out(samples, nominal, (found, asked.alone), fields, splits, said)
+    kind = asked.kind if asked.kind != AUTO else NONE if outcome is None else _best(outcome)
+    held = {} if outcome is None else {name: compare(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
+                                       for name, errors in outcome.after.items()}
+    tried = [Tried(name, held.get(name), None, name == kind) for name in fields]
+    tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
+    done = Certified(corrected(nominal, found, fields[kind]), found, label, held.get(kind))
+    field = fields[kind]
+    if isinstance(field, Weighted) and outcome is not None and outcome.beside:
+        field = _scaled(field, outcome, held[kind], nominal)
+        done = replace(done, correction=corrected(nominal, found, field))
+    if field is not None:
+        done = replace(done, found=replace(found, residuals=found.residuals - field.value(samples.commanded)))
+    return done, tuple(tried)
+
+
+class _Outcome(NamedTuple):
+    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was fitted was as dense."""
+
+    beside: bool
+    rows: np.ndarray
+    samples: Samples
+    before: np.ndarray
+    after: dict[str, np.ndarray]
+
+
+def _splits(samples: Samples, label: np.ndarray, nominal: Hexapod) -> list[tuple[np.ndarray, np.ndarray]]:
+    """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
+    if label.max() + 1 < LEAST:
+        return []
+    found = lattice(samples.commanded, ranges(nominal))
+    if found is None:
+        fold = folds(label, min(FOLDS, label.max() + 1))
+        return [(fold != k, fold == k) for k in np.unique(fold)]
+    on = found.vertex >= 0
+    if len(np.unique(label[~on])) >= LEAST:
+        return [(on, ~on)]
+    shape = [len(level) for level in found.levels]
+    place = np.unravel_index(np.maximum(found.vertex, 0), shape)
+    planes = [on & (place[i] == k) for i, count in enumerate(shape) for k in range(1, count - 1)]
+    every = max(1, -(-len(planes) // (2 * FOLDS)))
+    return [(on & ~plane, plane) for plane in planes[::every]]
+
+
+def _held_out(samples: Samples, nominal: Hexapod, basis: tuple[Identified, bool], fields: dict[str, Field | None],
+              splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
+    found, alone = basis
+    rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
+    said("holding configurations out", 0, len(splits))
+    for k, (fitted, out) in enumerate(splits):
+        rest = samples.take(out)
+        geometry = geometry_of(samples.take(fitted), nominal, alone, found.prior)
+        known = left(samples.take(fitted), geometry)
+        rows.append(np.flatnonzero(out))
+        before.append(difference(mechanisms.of(nominal).forward(rest.commanded, nominal), rest.T_base_platform))
+        for name, field in fields.items():
+            correction = corrected(nominal, geometry, None if field is None else extend(known, name, field))
+            after[name].append(difference(correction.predict(rest.commanded), rest.T_base_platform))
+        said("holding configurations out", k + 1, len(splits))
+    at = np.concatenate(rows)
+    dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
+    return _Outcome(dense, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
+
+
+def _scaled(field: Weighted, outcome: _Outcome, held: HeldOut, nominal: Hexapod) -> Weighted:
+    """The field with its misfit as the poses held out have it: their errors beyond what measuring them adds, over what the field says of itself."""
+    to_pose = np.linalg.inv(mechanisms.of(nominal).jacobian(outcome.samples.T_base_platform, nominal))  # type: ignore[attr-defined]
+    said = (to_pose[:, :3] ** 2 @ (field.error(outcome.samples.commanded) ** 2)[..., None]).sum(axis=1).mean()
+    seen = max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
+    return replace(field, misfit=field.misfit * np.sqrt(seen / said))  # type: ignore[type-var]
+
+
+def _best(outcome: _Outcome) -> str:
+    """The way that leaves least, if it beats doing without by GAIN standard errors of the difference."""
+    precision = np.linalg.inv(outcome.samples.total_covariance())
+    loss = {name: np.einsum("ni,nij,nj->n", errors, precision, errors) for name, errors in outcome.after.items()}
+    best = min(loss, key=lambda name: loss[name].mean())
+    gain = loss[NONE] - loss[best]
+    return best if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)) else NONE
+
+
+def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
+    correction: Correction = done.correction
+    kinematics = mechanisms.of(correction.nominal)
+    each = witnesses(samples, done.label, np.linalg.inv(kinematics.jacobian(samples.T_base_platform, correction.nominal)))  # type: ignore[attr-defined]
+    way = "nothing at all" if correction.extension is None else correction.extension.kind
+    told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
+    middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
+    if len(each) < LEAST:
+        return too_few(told, middle)
+    commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), 256, FILL), correction)
+    offset = difference(T, kinematics.forward(commands, correction.nominal))
+    own = extension_scatter(correction, commands, mechanism.jacobian(T, correction.fitted))
+    workspace = Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle)
+    return claimed(workspace, np.zeros((1000, 42)), each, told, rng)
+
+

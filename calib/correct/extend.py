@@ -1,0 +1,83 @@
+"""The method in its own terms: summands at the visited configurations, extended over the whole configuration space by a way that is asked for.
+
+KSF_PM(x) = x - IK(GDK(x)) at each sample x; KSF_KR is its Field over all of the configuration space. It stands alone, with the owner's
+model as IK, or on top of the fitted geometry, where it extends what that leaves.
+Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
+"""
+
+from typing import Any
+
+import numpy as np
+
+from calib.correct.correction import Correction
+from calib.correct.interpolate import kinds
+from calib.correct.interpolate.field import Field, Known
+from calib.correct.interpolate.radial import RadialMap
+from calib.identify.geometry import PRIOR, Identified, identify
+from calib.identify.tolerance import tolerance
+from calib.samples import Samples
+from rig import mechanisms
+from rig.configurations import FILL, low_discrepancy
+from rig.design import Hexapod
+from rig.errors import NotConverged
+
+PLACES = 500  # at which a single step is held against the fixed point
+
+
+def summands(samples: Samples, model: Hexapod) -> Known:
+    """KSF_PM of samples, each with its variances by the measured poses' covariance, shared errors left out. model : whose IK is meant.
+
+    Source: configuration-space patent, [0130]
+    """
+    kinematics = mechanisms.of(model)
+    A = kinematics.jacobian(samples.T_base_platform, model)  # type: ignore[attr-defined]
+    variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
+    return Known(samples.commanded, samples.commanded - kinematics.inverse(samples.T_base_platform, model), variances, kinematics.travel(model))
+
+
+def geometry_of(samples: Samples, nominal: Hexapod, alone: bool, prior: np.ndarray | None = None) -> Identified:
+    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : as `identify`, or as poses have it."""
+    if not alone:
+        if prior is None:
+            prior = tolerance(identify(samples, nominal), nominal).prior
+        return identify(samples, nominal, prior=prior)
+    known = summands(samples, nominal)
+    n, axes = known.values.shape
+    A = mechanisms.of(nominal).jacobian(samples.T_base_platform, nominal)  # type: ignore[attr-defined]
+    covariance = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+    return Identified(nominal, np.zeros((42, 42)), np.zeros(samples.common.shape[2]), np.zeros((42, 42)), known.values, covariance, np.zeros(axes),
+                      np.ones(n, bool), np.full(42, PRIOR), 0.0)
+
+
+def left(samples: Samples, found: Identified) -> Known:
+    """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was sought."""
+    kinematics = mechanisms.of(found.hexapod)
+    return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.hexapod))
+
+
+def extend(known: Known, kind: str, like: Field | None = None) -> Field:
+    """KSF_KR, the Field of a kind through samples. like : a Field of the same kind of more samples, whose smoothness holds for these as well.
+
+    Raises RigError as `kinds.fit`
+    """
+    return RadialMap.fit(known, like) if isinstance(like, RadialMap) and kind == RadialMap.kind else kinds.fit(kind, known)
+
+
+def corrected(nominal: Hexapod, found: Identified, field: Field | None) -> Correction[Hexapod, Any]:
+    """Correction by a geometry and a Field of what it leaves, or None."""
+    return Correction(nominal, found.hexapod, (None,) * len(nominal.axes), extension=field)
+
+
+def single_step_misses(correction: Correction[Any, Any]) -> tuple[float, float]:
+    """(RMS, greatest) m by which X + KSF(X) misses the fixed point's commands, all over the middle of the strokes.
+
+    Source: configuration-space patent, [0030], [0091]
+    """
+    commands = low_discrepancy(mechanisms.of(correction.nominal).travel(correction.nominal), PLACES, FILL)
+    try:
+        wanted = correction.predict(commands)
+    except NotConverged as error:
+        commands = np.delete(commands, error.index, axis=0)
+        wanted = correction.predict(commands)
+    off = correction.single_step(wanted) - correction.inverse(wanted)
+    return float(np.sqrt((off**2).mean())), float(np.abs(off).max())

@@ -1,0 +1,101 @@
+"""The values of grids at many places, compiled: simplices by ranking coordinates without a branch, n-linear by halving."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from calib.correct.interpolate.grid import Grid
+
+
+class Tables(NamedTuple):
+    """A grid as kernels take it: levels (axes, most), the rest of a row infinite; inverse : (axes, most - 1) of the cells' widths;
+    cells : (axes,) how many; strides : (axes,); values : (vertices, outputs)."""
+
+    levels: np.ndarray
+    inverse: np.ndarray
+    cells: np.ndarray
+    strides: np.ndarray
+    values: np.ndarray
+
+
+def tables(grid: "Grid") -> Tables:
+    """Tables of a Grid."""
+    most = max(grid.shape)
+    levels, inverse = np.full((len(grid.levels), most), np.inf), np.zeros((len(grid.levels), most - 1))
+    for i, level in enumerate(grid.levels):
+        levels[i, : len(level)], inverse[i, : len(level) - 1] = level, 1 / np.diff(level)
+    return Tables(levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values))
+
+
+@cache
+def simplex_kernel(axes: int) -> Callable[..., None]:
+    """The kernel for so many axes: (x (n, axes), *Tables, out (n, outputs)), out filled. Compiled for each number, so that its loops unroll."""
+
+    @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+    def simplex(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
+                out: np.ndarray) -> None:
+        t, ranked, steps = np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)
+        outputs = values.shape[1]
+        for q in range(x.shape[0]):
+            vertex = 0
+            for i in range(axes):
+                inner = min(max(x[q, i], levels[i, 0]), levels[i, cells[i]])
+                cell = 0
+                for j in range(1, cells[i]):
+                    cell += inner >= levels[i, j]
+                t[i] = (inner - levels[i, cell]) * inverse[i, cell]
+                vertex += cell * strides[i]
+            for i in range(axes):  # how many are larger; of equal ones the first is
+                rank = 0
+                for j in range(i):
+                    rank += t[j] >= t[i]
+                for j in range(i + 1, axes):
+                    rank += t[j] > t[i]
+                ranked[rank], steps[rank] = t[i], strides[i]
+            for k in range(outputs):
+                out[q, k] = (1.0 - ranked[0]) * values[vertex, k]
+            for i in range(axes):
+                vertex += steps[i]
+                weight = ranked[i] - ranked[i + 1]
+                for k in range(outputs):
+                    out[q, k] += weight * values[vertex, k]
+
+    return simplex
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def linear_kernel(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
+                  out: np.ndarray) -> None:
+    """n-linear values into out (n, outputs) at x (n, axes): a cell's vertices, halved along one axis after the other."""
+    axes, outputs = x.shape[1], values.shape[1]
+    corner, t = np.zeros(2**axes, np.int64), np.empty(axes)
+    part = np.empty((2**axes, outputs))
+    for c in range(2**axes):
+        for i in range(axes):
+            if c >> (axes - 1 - i) & 1:
+                corner[c] += strides[i]
+    for q in range(x.shape[0]):
+        vertex = 0
+        for i in range(axes):
+            inner = min(max(x[q, i], levels[i, 0]), levels[i, cells[i]])
+            cell = 0
+            for j in range(1, cells[i]):
+                cell += inner >= levels[i, j]
+            t[i] = (inner - levels[i, cell]) * inverse[i, cell]
+            vertex += cell * strides[i]
+        half = 2 ** (axes - 1)
+        for c in range(half):
+            for k in range(outputs):
+                low = values[vertex + corner[c], k]
+                part[c, k] = low + t[0] * (values[vertex + corner[c + half], k] - low)
+        for i in range(1, axes):
+            half //= 2
+            for c in range(half):
+                for k in range(outputs):
+                    part[c, k] += t[i] * (part[c + half, k] - part[c, k])
+        for k in range(outputs):
+            out[q, k] = part[0, k]

@@ -1,0 +1,46 @@
+"""Barycentric interpolation on the simplices into which Kuhn cuts each cell of a grid: axes + 1 samples a place, however many the axes.
+
+A place in a cell lies in the simplex whose vertices are met on going through the cell along the axes in the order of the place's
+coordinates, the largest first; neighbouring cells are cut alike where they meet. Sources: configuration-space patent, [0033],
+[0034]; Kuhn, Some combinatorial lemmas in topology, 1960.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from calib.correct.interpolate.compiled import Tables, simplex_kernel, tables
+from calib.correct.interpolate.grid import Grid
+from calib.correct.interpolate.weighted import Weights
+
+
+class Simplex(Grid):
+    """A Grid whose cells are cut into simplices."""
+
+    __slots__ = ("_tables",)
+    kind: ClassVar[str] = "simplex"
+    exact: ClassVar[bool] = True
+    _tables: Tables
+
+    def __post_init__(self) -> None:
+        Grid.__post_init__(self)
+        object.__setattr__(self, "_tables", tables(self))
+
+    def value(self, x: np.ndarray) -> np.ndarray:
+        x = np.ascontiguousarray(x, float)
+        out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        simplex_kernel(x.shape[-1])(x.reshape(-1, x.shape[-1]), *self._tables, out)
+        return out.reshape(*x.shape[:-1], -1)
+
+    def weights(self, x: np.ndarray) -> Weights:
+        cell, t, slope = self.cells(x)
+        n, axes = x.shape
+        strides = self.strides()
+        order = np.argsort(-t, axis=1, kind="stable")
+        index = np.cumsum(np.column_stack([cell @ strides, strides[order]]), axis=1)
+        largest = np.column_stack([np.ones(n), np.take_along_axis(t, order, axis=1), np.zeros(n)])
+        slopes = np.zeros((n, axes + 1, axes))
+        at, step = np.arange(n)[:, None], np.take_along_axis(slope, order, axis=1)
+        slopes[at, np.arange(axes), order] -= step
+        slopes[at, np.arange(1, axes + 1), order] += step
+        return Weights(index, -np.diff(largest, axis=1), slopes)

@@ -1,0 +1,94 @@
+"""Extensions over the configuration space: exact on their grid, the best one by held-out poses, and promised no better than they are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import store
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import model_covariance, promised
+from calib.certify.extended import Asked, certify_extended, promised_alone
+from calib.correct.extend import single_step_misses
+from rig.configurations import division, low_discrepancy
+from rig.errors import RigError
+from rig.mechanisms import hexapod
+from rig.pose import difference
+from tests.calib.worlds import real, rms, sampled, workspace
+
+OWN = np.array([1e-7, 1e-7, 1e-7, 1e-6, 1e-6, 1e-6])  # m, rad; so little that what is left is the way's own
+
+
+def coupled(commands):
+    """Struts that feel each other, smoothly: no geometry does that."""
+    u = (commands - commands.mean()) / 0.05
+    return 3e-5 * np.stack([np.sin(u[..., i] + u[..., (i + 1) % 6]) for i in range(6)], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def gridded(design):
+    """(Samples on the grid 2x1x1x1x1x2 and at 30 configurations beside it, true Hexapod)."""
+    strokes = design.mechanism.strut_range
+    commands = np.concatenate([division(strokes, "2x1x1x1x1x2@0.6"), low_discrepancy(strokes, 30, 0.5, 8)])
+    return sampled(design, 4, len(commands), coupled, commands=commands, own=OWN)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
+    samples, true = gridded
+    done, _ = certify_extended(samples, design.mechanism, Asked("simplex", alone), np.random.default_rng(0))
+    on = slice(0, 144)
+    assert np.abs(difference(done.correction.predict(samples.commanded[on]), samples.T_base_platform[on])).max() < 1e-9
+    assert done.held_out.after.n == 30 and done.held_out.after.position[0] < 0.2 * done.held_out.before.position[0]
+    assert (done.correction.fitted is done.correction.nominal) == alone
+
+
+def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
+    samples, true = gridded
+    done, tried = certify_extended(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))
+    figures = {one.kind: one.held_out.after.position[0] for one in tried if one.held_out}
+    chosen = [one.kind for one in tried if one.chosen]
+    assert len(chosen) == 1 and chosen != ["none"] and {"simplex", "linear", "delaunay", "axes", "radial", "polynomial", "none"} == set(figures)
+    assert figures[chosen[0]] < 1.3 * min(figures.values()) < figures["none"]
+    wanted = workspace(design, 60)
+    left = [rms(difference(wanted, real(c.inverse(wanted), true, coupled)))[0] for c in (done.correction, replace(done.correction, extension=None))]
+    assert left[0] < left[1]
+
+
+def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(design):
+    samples, _ = sampled(design, 5, 40)
+    with pytest.raises(RigError, match="fill no grid"):
+        certify_extended(samples, design.mechanism, Asked("linear", False), np.random.default_rng(0))
+    done, tried = certify_extended(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))
+    assert {one.kind for one in tried if one.reason} == {"linear", "simplex"}
+    assert done.correction.extension is None  # noise alone is left, and no way makes something of it
+
+
+def test_an_extended_calibration_is_kept_and_says_how_sure_it_is(gridded, design, tmp_path):
+    samples, true = gridded
+    done, _ = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))
+    claim = promised_alone(samples, done, np.random.default_rng(0))
+    kept = Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), done.held_out, {"seed": 0}, claim)
+    store.save(tmp_path / "c.json", kept)
+    again = store.load(tmp_path / "c.json")
+    inner = low_discrepancy(design.mechanism.strut_range, 80, 0.55, 3)
+    np.testing.assert_allclose(again.correction.rho(inner), done.correction.rho(inner), atol=1e-18)
+    T = real(inner, true, coupled)
+    error = difference(again.correction.predict(inner), T)
+    stated = model_covariance(again, T)
+    ratio = (error[:, :3] ** 2).sum() / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
+    assert 0.05 < ratio < 4
+    top, _ = certify_extended(samples, design.mechanism, Asked("linear", False), np.random.default_rng(0))
+    assert promised(samples, top, np.random.default_rng(0)).after[0][0] < claim.before[0][0]
+
+
+def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
+    samples, _ = gridded
+    correction = certify_extended(samples, design.mechanism, Asked("linear", True), np.random.default_rng(0))[0].correction
+    wanted = workspace(design, 40)
+    exact, step = correction.inverse(wanted), correction.single_step(wanted)
+    x = hexapod.inverse(wanted, design.mechanism)
+    np.testing.assert_allclose(step, x + correction.summand(x), atol=1e-15)
+    np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
+    assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_misses(correction)[1] > 1e-7
+    np.testing.assert_allclose(correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9)
