@@ -33,13 +33,15 @@ from vision.reading.identity import Suspect
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
 td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}td:first-child,th:first-child{text-align:left}
-.note{color:#666;font-size:.9em}"""
+.note{color:#666;font-size:.9em}table{display:block;overflow-x:auto}
+@media(prefers-color-scheme:dark){body{background:#161616;color:#e4e4e4}td,th{border-color:#444}.note{color:#aaa}img{background:#fff}}"""
 
 
 def page(path: Path | str, title: str, parts: Sequence[str | Figure]) -> None:
     """Write a self-contained HTML page. parts : strings of HTML and matplotlib Figures, in order."""
     body = "\n".join(_picture(part) if isinstance(part, Figure) else part for part in parts)
-    text = (f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
+    text = ('<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">'
+            f'<meta name=color-scheme content="light dark"><title>{html.escape(title)}</title><style>{STYLE}</style>'
             f"<h1>{html.escape(title)}</h1>\n{body}\n</html>\n")
     write_text(path, text)
 

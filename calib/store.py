@@ -59,8 +59,13 @@ def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_i
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
     return {"recording": folder.resolve().name, "inputs_sha256": files, "data": flat(marks(recording)),
             "arguments": list(arguments), "seed": seed,
-            "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            "versions": versions(),
             "created": datetime.now(UTC).isoformat(timespec="seconds")}
+
+
+def versions() -> dict[str, str]:
+    """{name: version} of what figures depend on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def seen_before(calibration: Calibration, recording: Recording) -> list[int]:

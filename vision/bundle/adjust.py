@@ -34,7 +34,7 @@ class Adjustment:
     state : State; residuals : (n, 2) px, seen less predicted; whitened : (n, 2)
     platform_given_cameras : (F, 6, 6) covariance of each platform pose were all shared unknowns known, tangent on the right
     platform_common : (F, 6, k) factor of what the shared unknowns' uncertainty adds, the same k draws for every frame
-    shared_covariance : (s, s) of the shared unknowns in their own units, named by shared_names
+    shared_factor : (s, k) of the shared unknowns in their own units, named by shared_names: with the same draws they are off by this times z
     prior : (s,) standard deviation that each was given before the images, infinite for none
     dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
     unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
@@ -45,7 +45,7 @@ class Adjustment:
     whitened: np.ndarray
     platform_given_cameras: np.ndarray
     platform_common: np.ndarray
-    shared_covariance: np.ndarray
+    shared_factor: np.ndarray
     shared_names: list[tuple[str, str]]
     prior: np.ndarray
     dof: float
@@ -53,6 +53,11 @@ class Adjustment:
     unknowns: Unknowns
     stated: State
     free: tuple[str, ...]
+
+    @property
+    def shared_covariance(self) -> np.ndarray:
+        """(s, s) covariance of the shared unknowns, in their own units."""
+        return self.shared_factor @ self.shared_factor.T
 
 
 def adjust(observations: Observations, state: State, free: Sequence[str] = ("poses", "lenses"), progress: Callable[[float], None] | None = None,
@@ -124,7 +129,7 @@ def _finish(observations: Observations, estimate: Estimate, stated: State, u: Un
     taken = u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()  # a term held by what was stated takes no observation
     dof = float(2 * len(observations) - u.used.sum() - taken)
     uv, _ = predict(observations, estimate.state)
-    return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own @ own.T, u.names,
+    return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own, u.names,
                       np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
 
 

@@ -1,0 +1,90 @@
+"""How far a share of all poses lies, from a sample of them, whatever their distribution: limits by order statistics.
+
+With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
+P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two ranks the limit is
+interpolated (fractional order statistics), so that the confidence is met and not overshot.
+Sources: Wilks, Ann. Math. Statist. 12, 1941; Hutson, J. Appl. Statist. 26, 1999 (fractional order statistics).
+docs/mathematics.md (24)
+"""
+
+from math import ceil, floor, log
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import betainc, xlogy
+
+from rig.errors import NotEnoughData
+
+TIGHT = 1e-12
+
+
+def smallest(coverage: float = 0.95, confidence: float = 0.95) -> int:
+    """How many values it takes at the least: below their greatest lies `coverage` with `confidence`. 59 for 0.95 and 0.95."""
+    return ceil(log(1 - confidence) / log(coverage) - TIGHT)
+
+
+def reachable(n: int, coverage: float = 0.95, confidence: float = 0.95) -> tuple[float, float]:
+    """(confidence reachable for that coverage, coverage reachable with that confidence) with n values."""
+    return 1 - coverage**n, (1 - confidence) ** (1 / n) if n else 0.0
+
+
+def enough(n: int, coverage: float, confidence: float, what: str = "distinct configurations") -> None:
+    """Raise NotEnoughData, saying what n values can promise, where these are fewer than `smallest`."""
+    least = smallest(coverage, confidence)
+    if n < least:
+        sure, share = reachable(n, coverage, confidence)
+        can = (f"they can speak for {share:.1%} of poses with {confidence:.1%} confidence, or for {coverage:.0%} with {sure:.1%}: ask with "
+               "--coverage or --confidence, or" if n else "")
+        raise NotEnoughData(f"{n} {what} held out and settled; that {coverage:.0%} of poses lie within a bound takes {least} with "
+                            f"{confidence:.0%} confidence. {can} record {least - n} more".replace(". record", ". Record"))
+
+
+def beyond(n: int, coverage: float, confidence: float) -> float:
+    """How many (real) of n values lie beyond the upper limit: k with P(Bin(n, 1 - coverage) <= k) = 1 - confidence, at least 0.
+
+    Raises NotEnoughData for fewer than `smallest`
+    """
+    enough(n, coverage, confidence)
+
+    def chance(k: float) -> float:
+        return float(betainc(n - k, k + 1, coverage)) - (1 - confidence)
+
+    return 0.0 if chance(0.0) >= 0 else float(brentq(chance, 0.0, n - 1.0, xtol=1e-10))
+
+
+def within(n: int, coverage: float, confidence: float) -> float | None:
+    """How many (real) of n values lie beyond the lower limit: k with P(Bin(n, 1 - coverage) >= k) = 1 - confidence; None where n is too
+    small for any."""
+    def chance(k: float) -> float:
+        return float(betainc(k, n - k + 1, 1 - coverage)) - (1 - confidence)
+
+    return None if chance(float(n)) > 0 else float(brentq(chance, 1e-9, float(n), xtol=1e-10))
+
+
+def upper(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+    """Limit below which a share `coverage` of the population lies, with `confidence`. values : (n,) drawn from it.
+
+    Raises NotEnoughData for fewer than `smallest`
+    """
+    n = len(values)
+    return _at(np.sort(values), n - beyond(n, coverage, confidence))
+
+
+def lower(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:
+    """Limit beyond which a share 1 - coverage of the population lies, with `confidence`; 0 where n values cannot say. values : (n,) >= 0"""
+    n = len(values)
+    k = within(n, coverage, confidence)
+    return 0.0 if k is None else _at(np.sort(values), n + 1 - k)
+
+
+def _at(ordered: np.ndarray, rank: float) -> float:
+    """Value of a real rank, 1 for the smallest."""
+    low = min(max(floor(rank), 1), len(ordered))
+    high = min(low + 1, len(ordered))
+    return float(ordered[low - 1] + (rank - low) * (ordered[high - 1] - ordered[low - 1]))
+
+
+def drop(n: int, beyond_it: float, coverage: float) -> float:
+    """By how much the log likelihood falls when `coverage` is forced on a limit that `beyond_it` (real) of n values exceed."""
+    share = beyond_it / n
+    return float(n * (xlogy(share, share / (1 - coverage)) + xlogy(1 - share, (1 - share) / coverage)))

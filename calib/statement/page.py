@@ -1,0 +1,99 @@
+"""A certificate as a page: what is promised and on whose scale, then on what it rests."""
+
+import html
+from pathlib import Path
+
+from calib.certify.repeats import FEWEST
+from calib.report import flat, page, table
+from calib.statement import svg, words
+from calib.statement.certificate import Certificate
+
+NOT_KNOWN = "not known"
+
+
+def certificate_page(path: Path, c: Certificate) -> None:
+    """Write the page of a certificate: one file, offline."""
+    page(path, f"Certificate of {c.machine} {c.provenance['id']}", [f"<style>{svg.STYLE}</style>", *_promise(c), *_judged(c), *_cells(c), *_floor(c),
+                                                                  *_standards(c), *_budget(c), *_conditions(c), *_origin(c)])
+
+
+def _paragraph(line: str) -> str:
+    return f"<p>{html.escape(line)}</p>"
+
+
+def _promise(c: Certificate) -> list[str]:
+    first, second = words.scale_line(c), words.promise_line(c)
+    return [_paragraph(first), f"<p style='font-size:1.15em'><b>{html.escape(second)}</b></p>", _paragraph(words.volume_line(c)),
+            *map(_paragraph, words.rest_lines(c)), svg.distribution(c)]
+
+
+def _judged(c: Certificate) -> list[str]:
+    if not c.conformity:
+        return []
+    return ["<h2>Against the tolerance</h2>", *(f"<p><b>{html.escape(line)}</b></p>" for line in words.conformity_lines(c)),
+            "<p class=note>A decision takes limits of 97.5 % confidence (guard bands, JCGM 106): either is wrong in 2.5 % of cases at the most.</p>"]
+
+
+def _cells(c: Certificate) -> list[str]:
+    if not c.cells:
+        return []
+    rows = [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
+             "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells]
+    return ["<h2>Part by part</h2><p class=note>The same promise for boxes of the volume, each by its own poses.</p>", svg.cells(c),
+            table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows)]
+
+
+def _floor(c: Certificate) -> list[str]:
+    rows = [(name, f"{f.position[0] * 1e6:.1f}", f"{f.position[1] * 1e6:.1f}", f"{f.position[2] * 1e6:.1f}",
+             *(f"{value * 1e6:.1f}" if value == value else "" for value in f.rotation)) for name, f in
+            (("owner's model", c.before), ("calibrated", c.after))]
+    return ["<h2>Before and after</h2>", _paragraph(f"The same {c.after.n} held-out poses, as measured."),
+            table(("", "RMS, um", "95 %, um", "max, um", "RMS, urad", "95 %, urad", "max, urad"), rows)]
+
+
+def _standards(c: Certificate) -> list[str]:
+    parts = ["<h2>ISO 9283: pose accuracy AP and repeatability RP</h2>", _paragraph(words.iso9283_line(c))]
+    if c.iso9283.repeated:
+        rows = [(" ".join(f"{value * 1e3:.1f}" for value in row.place), row.visits, row.approaches, f"{row.AP * 1e6:.1f}", f"{row.RP * 1e6:.1f}",
+                 *("" if part is None else " ".join(f"{value * 1e6:.1f}" for value in part) for part in (row.AP_axes, row.RP_axes)))
+                for row in c.iso9283.repeated]
+        parts.append(table(("pose at, mm", "visits", "approaches", "AP, um", "RP, um", "AP about x y z, urad", "RP about x y z, urad"), rows))
+        parts.append(f"<p class=note>Poses visited {FEWEST} times or more; where they were come to from several sides, reversal is in RP.</p>")
+    parts.append("<h2>ISO 230-2: each axis by itself</h2>")
+    if not c.iso230:
+        return [*parts, _paragraph("No axis was moved alone to one position from both sides: a plan with ladder does that.")]
+    unit = "um" if c.iso230[0].unit == "m" else "urad"
+    rows = [(a.axis, f"{a.B * 1e6:.1f}", f"{a.B_mean * 1e6:+.1f}", *("" if value is None else f"{value * 1e6:.1f}" for value in (a.A, a.R)),
+             f"{a.u * 1e6:.1f}", a.positions, a.cycles, "yes" if a.formal else "no") for a in c.iso230]
+    return [*parts, table(("axis", f"reversal B, {unit}", f"mean B, {unit}", f"accuracy A, {unit}", f"repeatability R, {unit}",
+                           f"u of one reading, {unit}", "positions", "cycles", "as many as the standard asks"), rows)]
+
+
+def _budget(c: Certificate) -> list[str]:
+    rows = [(row.name, row.of, NOT_KNOWN if row.position is None else f"{row.position * 1e6:.2f}",
+             "" if row.rotation is None else f"{row.rotation * 1e6:.2f}", row.kind, row.source) for row in c.budget.rows]
+    said = [f"A commanded pose: U = {words.um(c.budget.machine[0])}", f"a measured one: U = {words.um(c.budget.measuring[0])}"]
+    if c.budget.machine[1] is not None and c.budget.measuring[1] is not None:
+        said = [f"{line} and {words.urad(turn)}" for line, turn in zip(said, (c.budget.machine[1], c.budget.measuring[1]))]
+    return ["<h2>Where it comes from (U, k = 2)</h2>", _paragraph("; ".join(said) + ". What is not known is in neither."), svg.budget(c),
+            table(("contribution", "to", "position, um", "rotation, urad", "kind", "how"), rows)]
+
+
+def _conditions(c: Certificate) -> list[str]:
+    k = c.conditions
+    logged = [(name.removesuffix("_C").replace("_", " "), f"{low:.2f} to {high:.2f}" + (" C" if name.endswith("_C") else ""))
+              for name, low, high in k.channels]
+    rows = [*((f"recording {name}", source) for name, source in k.recordings), ("poses at rest", k.poses),
+            ("configurations, each counted once", k.configurations), ("exposures left out, the machine moving", k.moving),
+            ("at rest before each exposure", f"{k.rest:g} s at least"), ("approach", k.approach),
+            ("payload", "not logged" if k.payload is None else f"{k.payload[0]:g} to {k.payload[1]:g} kg"), *logged,
+            ("warm-up before the first exposure", f"{k.warm_up / 60:.1f} min"), ("duration", f"{k.duration / 60:.1f} min"),
+            ("measured by", k.instrument), ("frame and scale held by", k.frame)]
+    if not any("temperature" in name for name, _, _ in k.channels):
+        rows.append(("temperature", "not logged"))
+    return ["<h2>Conditions</h2>", table(("what", "value"), rows)]
+
+
+def _origin(c: Certificate) -> list[str]:
+    return ["<h2>Where this came from</h2><details><summary>Hashes, versions, arguments</summary>", table(("what", "value"), flat(c.provenance)),
+            "</details>"]

@@ -1,0 +1,65 @@
+"""certificate.json (schema "certificate/1"): a certificate for programs, in m, rad and s, as `certificate.schema.json` beside this file has it."""
+
+import json
+from dataclasses import asdict
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from calib.certify.held_out import Figures
+from calib.certify.promise import Bound, Promise
+from calib.statement import words
+from calib.statement.certificate import Certificate
+
+SCHEMA = "certificate/1"
+
+
+def published() -> dict[str, Any]:
+    """The JSON schema that a certificate.json keeps."""
+    found: dict[str, Any] = json.loads((files("calib") / "statement" / "certificate.schema.json").read_text())
+    return found
+
+
+def tree(c: Certificate) -> dict[str, Any]:
+    """The dict that certificate.json holds; null where something was not measured or is not known."""
+    v = c.volume
+    out = {
+        "schema": SCHEMA, "statement": [words.scale_line(c), words.promise_line(c), words.volume_line(c), *words.rest_lines(c)],
+        "machine": c.machine, "promise": _promise(c.promise),
+        "scale": {"certified": c.asked.scale is not None, "relative_standard_uncertainty": c.asked.scale, "source": c.asked.scale_source},
+        "volume": {"position_low_m": v.low, "position_high_m": v.high, "rotation_rad": v.turned, "axes": v.axes, "commands": v.commands},
+        "cells": [{"position_low_m": cell.low, "position_high_m": cell.high, "promise": _promise(cell.promise)} for cell in c.cells],
+        "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
+        "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
+        "conformity": [asdict(k) for k in c.conformity], "budget": {"k": 2, **asdict(c.budget)}, "conditions": asdict(c.conditions),
+        **c.provenance}
+    return _plain(out)
+
+
+def text(c: Certificate) -> str:
+    """What is written to certificate.json."""
+    return json.dumps(tree(c), indent=1, allow_nan=False) + "\n"
+
+
+def _promise(p: Promise) -> dict[str, Any]:
+    return {"position_m": p.position.upper, "rotation_rad": None if p.rotation is None else p.rotation.upper, "coverage": p.coverage,
+            "confidence": p.confidence, "n": p.n, "position": _bound(p.position), "rotation": None if p.rotation is None else _bound(p.rotation)}
+
+
+def _bound(b: Bound) -> dict[str, float]:
+    return asdict(b)
+
+
+def _figures(f: Figures) -> dict[str, Any]:
+    names = ("rms", "p95", "max")
+    return {"n": f.n, "position_m": dict(zip(names, f.position)), "rotation_rad": dict(zip(names, f.rotation)), "bias": f.bias}
+
+
+def _plain(value: Any) -> Any:
+    """The same as JSON has it: lists, and null for what is no finite number."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

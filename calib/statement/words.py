@@ -1,0 +1,109 @@
+"""A certificate in sentences: the first line says whose scale it rests on, the next what is promised."""
+
+from calib.certify.conformity import CONFORMS, FAILS
+from calib.certify.repeats import POSES, VISITS
+from calib.statement.certificate import Certificate
+
+
+def um(value: float) -> str:
+    """A length in micrometres, to two digits of what matters."""
+    return f"{value * 1e6:.1f} um" if value < 1e-3 else f"{value * 1e3:.3f} mm"
+
+
+def urad(value: float) -> str:
+    """An angle in microradians."""
+    return f"{value * 1e6:.1f} urad" if value < 1e-3 else f"{value * 1e3:.3f} mrad"
+
+
+def share(value: float) -> str:
+    """A share in per cent, to no more digits than it has."""
+    return f"{100 * value:.4g} %"
+
+
+def scale_line(c: Certificate) -> str:
+    """Whose scale the certificate rests on."""
+    holder = c.conditions.frame
+    if c.asked.scale is None:
+        return (f"Nobody certified the scale: lengths are in units of {holder}, and an error of theirs is in every figure here "
+                f"({_far(c) * 1e-4 * 1e6:.0f} um at the volume's far end for each 0.1 mm/m).")
+    by = f", by {c.asked.scale_source}" if c.asked.scale_source else ", as stated; by whom is not said"
+    return f"Scale held by {holder}, standard uncertainty {c.asked.scale * 1e6:.3g} um/m{by}; it is part of the promise."
+
+
+def _far(c: Certificate) -> float:
+    return float(sum(max(abs(low), abs(high)) ** 2 for low, high in zip(c.volume.low, c.volume.high)) ** 0.5)
+
+
+def promise_line(c: Certificate) -> str:
+    """What is promised."""
+    p = c.promise
+    rotation = "" if p.rotation is None else f" and {urad(p.rotation.upper)}"
+    return (f"With {share(p.confidence)} confidence, {share(p.coverage)} of poses in this volume lie within {um(p.position.upper)}{rotation} "
+            f"of where they should be.")
+
+
+def volume_line(c: Certificate) -> str:
+    """Which volume is meant."""
+    v = c.volume
+    box = ", ".join(f"{axis} {low * 1e3:.1f} to {high * 1e3:.1f} mm" for axis, low, high in zip("xyz", v.low, v.high))
+    turned = "" if v.turned is None else f", turned by up to {v.turned * 57.29578:.1f} degrees from the middle"
+    unit, scale = ("degrees", 57.29578) if c.machine == "arm" else ("mm", 1e3)
+    axes = ", ".join(f"{name} {low * scale:.1f} to {high * scale:.1f}" for name, (low, high) in zip(v.axes, v.commands))
+    return f"The volume: {box}{turned}; {axes} {unit}."
+
+
+def rest_lines(c: Certificate) -> list[str]:
+    """On what the promise rests, in a few lines."""
+    p, r = c.promise, c.repeatability
+    lines = [f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and all, the limit is "
+             f"{um(p.position.measured)}" + ("" if p.rotation is None else f" and {urad(p.rotation.measured)}")
+             + f"; half of the poses lie nearer than {um(_median(c))}."]
+    if p.position.shared or p.position.scale:
+        lines.append(f"In it: {um(p.position.shared)} for what all poses of a recording share (cameras, lenses), {um(p.position.scale)} for "
+                     "the scale; margins add in squares.")
+    if r.position is not None:
+        ratio = c.after.position[0] / r.position if r.position else float("inf")
+        one = f"; from one side {um(r.one_sided[0])}" if r.one_sided else ""
+        lines.append(f"Repeatability, the floor: {um(r.position)}" + ("" if r.rotation is None else f" and {urad(r.rotation)}")
+                     + f" RMS over {r.visits} visits to {r.poses} poses, measuring included ({um(r.noise[0])}){one}. "
+                     f"The error is {ratio:.2f} times it.")
+    else:
+        lines.append(f"Repeatability is not known: no configuration was visited twice. A measured pose is uncertain by {um(r.noise[0])}.")
+    if not c.cells:
+        lines.append("No bound for parts of the volume: that takes as many configurations in each as for the whole.")
+    return lines
+
+
+def _median(c: Certificate) -> float:
+    import numpy as np
+
+    return float(np.median(np.linalg.norm(c.errors[:, :3], axis=1)))
+
+
+def conformity_lines(c: Certificate) -> list[str]:
+    """One sentence for each tolerance."""
+    out = []
+    for k in c.conformity:
+        say = um if k.quantity == "position" else urad
+        if k.verdict == CONFORMS:
+            why = f"even the upper limit, {say(k.upper)}, is within it"
+        elif k.verdict == FAILS:
+            why = f"even the lower limit, {say(k.lower)}, is beyond it"
+        elif k.estimate != k.estimate:
+            why = "too few configurations for a decision that is wrong in 2.5 % of cases at the most"
+        else:
+            why = f"it lies between the limits {say(k.lower)} and {say(k.upper)}"
+        out.append(f"{k.quantity.capitalize()} within {say(k.tolerance)} for {share(c.asked.coverage)} of poses: {k.verdict}; {why}.")
+    return out
+
+
+def iso9283_line(c: Certificate) -> str:
+    """What of ISO 9283 there is."""
+    t = c.iso9283
+    n, mean, most = t.random
+    random = f"Over all {n} poses, one visit each, AP is {um(mean)} in the mean and {um(most)} at the most."
+    if not t.repeated:
+        return f"ISO 9283 asks for {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
+    least = min(row.visits for row in t.repeated)
+    formal = "as the standard asks" if t.formal else f"short of the standard's {POSES} poses of {VISITS} visits, and named so"
+    return f"{len(t.repeated)} poses of {least} visits and more, {formal}. Five poses say little of a volume. {random}"

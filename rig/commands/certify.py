@@ -1,0 +1,151 @@
+"""rig certify CALIBRATION REC.. --out certificate.html|json."""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import SEED, Progress, add_force, file_or_stdout, print_unsolved
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from calib.pipeline import Sampled
+    from calib.statement.certificate import Certificate
+    from calib.store import Calibration
+    from rig.recording import Recording
+
+UNITS = {"um": ("position", 1e-6), "mm": ("position", 1e-3), "m": ("position", 1.0), "urad": ("rotation", 1e-6), "mrad": ("rotation", 1e-3),
+         "rad": ("rotation", 1.0)}
+KINDS = (".json", ".html")
+
+
+def tolerance(text: str) -> tuple[str, float]:
+    """("position", m) or ("rotation", rad) of a text such as 20um or 0.1mrad. Raises ArgumentTypeError"""
+    found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)\s*", text)
+    if found is None or found[2] not in UNITS or not 0 < float(found[1]) < 1e9:
+        raise ArgumentTypeError(f"{text!r} is no tolerance; write a positive number and {', '.join(UNITS)}, as in 20um")
+    return UNITS[found[2]][0], float(found[1]) * UNITS[found[2]][1]
+
+
+def share(text: str) -> float:
+    """A share between 0 and 1. Raises ArgumentTypeError"""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.5 <= value <= 0.9999:
+        raise ArgumentTypeError(f"{text!r} must be a share from 0.5 to 0.9999")
+    return value
+
+
+def relative(text: str) -> float:
+    """A relative uncertainty. Raises ArgumentTypeError"""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < 0.1:
+        raise ArgumentTypeError(f"{text!r} must be a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m")
+    return value
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
+                        help="certificate.html, .json or .json; without a suffix a folder with both")
+    parser.add_argument("--tolerance", metavar="T", type=tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad")
+    parser.add_argument("--coverage", metavar="SHARE", type=share, default=0.95, help="of poses that the promise is about (0.95)")
+    parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
+    parser.add_argument("--scale-uncertainty", metavar="R", type=relative, help="relative standard uncertainty of the base targets' scale, as 20e-6")
+    parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Certify a calibration by held-out recordings and write what is promised."""
+    asked = dict(arguments.tolerance)
+    if len(asked) < len(arguments.tolerance):
+        raise RigError("--tolerance takes one length and one angle at the most")
+    if arguments.scale_source and arguments.scale_uncertainty is None:
+        raise RigError("--scale-source names who certified the scale; --scale-uncertainty says how well")
+    suffix = arguments.out.suffix
+    if suffix not in (*KINDS, ""):
+        raise RigError(f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them")
+    progress = Progress()
+    progress("reading the calibration", 0, 1)
+    from calib import store
+
+    calibration = store.load(arguments.calibration)
+    whole = arguments.outputs.folder(arguments.out) if suffix == "" else arguments.outputs.file(arguments.out)
+    held = _held_out(calibration, arguments, progress)
+    progress("certifying", 0, 1)
+
+    import numpy as np
+
+    from calib.statement import provenance
+    from calib.statement.certificate import Asked, certified
+
+    wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source)
+    made = certified(calibration, held, wanted, provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
+                     np.random.default_rng(SEED))
+    progress.close()
+    places = [whole / f"certificate{kind}" for kind in KINDS] if suffix == "" else [whole]
+    for place in places:
+        _write(place, place.suffix, made)
+    _say(made)
+    for _, sampled in held:
+        print_unsolved(sampled.measurement)
+    print(f"written: {arguments.out}")
+
+
+def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:
+    """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what did."""
+    from calib import store
+    from calib.pipeline import sample_recording
+    from rig import recording as recordings
+    from rig.provenance import flat, marks, shared
+
+    if not calibration.provenance.get("data"):
+        raise RigError(f"{arguments.calibration} does not say which data it was made from, so nothing can be shown to be held out; calibrate again")
+    loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.recordings]
+    known: set[str] = set()
+    for path, recording in zip(arguments.recordings, loaded):
+        frames = len(recording.exposures.times()[0])
+        same = store.seen_before(calibration, recording)
+        if same:
+            raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {arguments.calibration}, "
+                           "themselves or what was measured from them; a certificate takes poses that did not")
+        if recording.design.mechanism.kind != calibration.correction.nominal.kind:
+            raise RigError(f"{path} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
+                           f"{calibration.correction.nominal.kind!r}")
+        of = marks(recording)
+        twice = shared(of, known)
+        if twice:
+            raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
+        known |= set(flat(of))
+    return [(recording, sample_recording(recording, progress=progress)) for recording in loaded]
+
+
+def _write(path: Path, suffix: str, made: Certificate) -> None:
+    if suffix == ".html":
+        from calib.statement.page import certificate_page
+
+        certificate_page(path, made)
+        return
+    from calib.statement import tree
+    from rig.files import write_text
+
+    write_text(path, tree.text(made))
+
+
+def _say(made: Certificate) -> None:
+    """Print what is certified."""
+    from calib.statement import words
+
+    print("\n".join([words.scale_line(made), words.promise_line(made), words.volume_line(made), *words.rest_lines(made),
+                     *words.conformity_lines(made)]))

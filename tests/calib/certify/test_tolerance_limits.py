@@ -1,0 +1,78 @@
+"""Limits without a distribution: hand-worked ranks, kept as often as promised, with noise and without."""
+
+import numpy as np
+import pytest
+from scipy.stats import beta, binom
+
+from calib.certify import tolerance_limits, true_errors
+from rig.errors import NotEnoughData
+
+
+def test_the_smallest_samples_are_those_of_the_tables():
+    levels = ((0.95, 0.95), (0.9, 0.95), (0.99, 0.95), (0.95, 0.975), (0.5, 0.5))
+    assert [tolerance_limits.smallest(*level) for level in levels] == [59, 29, 299, 72, 1]
+
+
+def test_fewer_say_what_they_can():
+    with pytest.raises(NotEnoughData, match=r"^41 distinct .* takes 59 with 95% .* 93.0% of poses with 95.0% .* 95% with 87.8%.* record 18 more"):
+        tolerance_limits.upper(np.arange(41.0))
+    assert tolerance_limits.upper(np.arange(41.0), 0.95, 0.87) <= 40 and tolerance_limits.upper(np.arange(59.0)) == pytest.approx(58, abs=0.1)
+
+
+@pytest.mark.parametrize("n, rank", [(93, 92), (124, 122), (208, 203), (548, 530)])
+def test_ranks_are_those_of_wilks(n, rank):
+    """Greatest k beyond the limit with P(Bin(n, 0.05) <= k) <= 0.05, and the limit lies between that rank and the one before."""
+    k = n - rank
+    assert binom.cdf(k, n, 0.05) <= 0.05 < binom.cdf(k + 1, n, 0.05)
+    assert rank - 1 - 1e-9 <= tolerance_limits.upper(np.arange(1.0, n + 1)) <= rank + 1e-9
+
+
+@pytest.mark.parametrize("n", [59, 100, 240])
+def test_limits_are_kept_as_often_as_promised_whatever_the_distribution(n):
+    """The share below a value is all that matters, so uniform values stand for every distribution."""
+    values = np.random.default_rng(n).random((4000, n))
+    upper = np.mean([tolerance_limits.upper(row) >= 0.95 for row in values])
+    lower = np.mean([tolerance_limits.lower(row) <= 0.95 for row in values])
+    assert 0.94 <= upper <= 0.965 and (0.94 <= lower <= 0.965 or n == 59 and lower >= 0.94)
+
+
+def test_without_noise_true_errors_are_those_measured():
+    lengths = np.random.default_rng(1).exponential(1e-5, 120)
+    found = true_errors.limits(lengths, np.full(120, 1e-9))
+    assert found.upper == tolerance_limits.upper(lengths) and found.lower == tolerance_limits.lower(lengths)
+
+
+def _trials(n, noise, count, seed):
+    """(share kept, mean limit over truth, mean limit of the errors as measured over truth): true errors of two kinds, one wide."""
+    rng = np.random.default_rng(seed)
+    wide = rng.choice([1.0, 3.0], size=(count + 1, n, 1), p=[0.8, 0.2])
+    truth = np.linalg.norm(rng.normal(size=(300_000, 3)) * rng.choice([1.0, 3.0], size=(300_000, 1), p=[0.8, 0.2]), axis=1)
+    goal = np.quantile(truth, 0.95)
+    measured = [np.linalg.norm(rng.normal(size=(n, 3)) * w + noise * rng.normal(size=(n, 3)), axis=1) for w in wide[:count]]
+    limits = np.array([true_errors.limits(lengths, np.full(n, noise)).upper for lengths in measured])
+    plain = np.array([tolerance_limits.upper(lengths) for lengths in measured])
+    return np.mean(limits >= goal), limits.mean() / goal, plain.mean() / goal
+
+
+def test_noise_is_taken_off_and_the_promise_still_kept():
+    kept, size, plain = _trials(150, 0.5, 8, 2)
+    assert kept >= 0.9 and size <= plain
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.5, 1.0, 3.0])
+def test_noise_is_taken_off_and_the_promise_kept_many_times(noise):
+    kept, size, plain = _trials(150, noise, 200, 3)
+    assert kept >= 0.93 and size < 1.05 * plain
+
+
+def test_errors_smaller_than_their_stated_noise_promise_no_nothing():
+    """Who states too much noise is not rewarded: what is taken off is never more than there is."""
+    lengths = np.linalg.norm(np.random.default_rng(4).normal(size=(100, 3)), axis=1)
+    stated, twice = (true_errors.limits(lengths, np.full(100, sigma)).upper for sigma in (1.0, 2.0))
+    assert twice == pytest.approx(stated, rel=0.1) and twice > 0
+
+
+def test_the_interpolated_rank_is_that_of_the_beta_distribution():
+    k = tolerance_limits.beyond(150, 0.95, 0.95)
+    assert beta.cdf(0.95, 150 - k, k + 1) == pytest.approx(0.05, abs=1e-8)

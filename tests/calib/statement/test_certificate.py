@@ -1,0 +1,135 @@
+"""A certificate from simulated recordings: what it promises is so, what it refuses, and what is written keeps its schema."""
+
+import io
+import json
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from types import SimpleNamespace
+
+import jsonschema
+import numpy as np
+import pytest
+
+from calib import store
+from calib.certify.conformity import OPEN
+from calib.statement import tree
+from rig import machine, plan, recording, writing
+from rig.cli import main
+from rig.effects.parse import parse
+from rig.observed import Poses
+from rig.pose import difference, exp
+from synthetic import world
+
+GAP = 40e-6
+
+
+OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
+
+
+def rig(*arguments, ok=True):
+    """What a command of `rig` says, errors and all, which ends as expected."""
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        assert (main([str(one) for one in arguments]) == 0) == ok, said.getvalue()
+    return said.getvalue()
+
+
+def _made(folder, secret, rig_text, design, route, seed):
+    """A recording folder whose poses an instrument saw, with noise of a known covariance."""
+    rng = np.random.default_rng(seed)
+    done = plan.build(design, route, seed)
+    T = machine.run(secret.true, done.commands, done.t, secret.effects).T_base_platform
+    folder.mkdir()
+    (folder / "rig.toml").write_text(rig_text)
+    frames = np.arange(len(done.t))
+    writing.write_table(folder / "frames.csv", ("frame", "t", "camera", "image"), [f"{k},{t:.4f},cam0," for k, t in zip(frames, done.t)])
+    writing.write_table(folder / "commands.csv", ("t", *design.mechanism.axes),
+                        [",".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(done.commands.t, done.commands.values)])
+    seen = T * exp(OWN * rng.normal(size=(len(frames), 6)))
+    writing.write_poses(folder / "poses.csv", Poses(frames, seen, np.tile(np.diag(OWN**2), (len(frames), 1, 1))))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory, design, rig_text):
+    """A rig with backlash in strut 3, calibrated from one recording; another held out, with ladders and repeats; and what is certified of it."""
+    folder = tmp_path_factory.mktemp("certify")
+    secret = world.draw(design, np.random.default_rng(5), 1.0, (parse(f"backlash:strut3:gap={GAP}"),))
+    _made(folder / "fit", secret, rig_text, design, "sobol:40,ladder:1", 1)
+    _made(folder / "other", secret, rig_text, design, "sobol:62,ladder:3,repeat:12,moving:4", 2)
+    rig("calibrate", folder / "fit", "--out", folder / "cal.json")
+    out = rig("certify", folder / "cal.json", folder / "other", "--out", folder / "made", "--tolerance", "15um", "1mrad")
+    return SimpleNamespace(folder=folder, secret=secret, out=out, tree=json.loads((folder / "made" / "certificate.json").read_text()))
+
+
+def test_the_certificate_keeps_its_published_schema(held):
+    schema = tree.published()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(held.tree, schema)
+    for key, value in (("machine", "lathe"), ("promise", {}), ("more", 1)):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**held.tree, key: value}, schema)
+
+
+def test_the_promise_is_so(held, design):
+    """Against thousands of poses of the machine as it is, come to from everywhere."""
+    correction = store.load(held.folder / "cal.json").correction
+    goals = plan.low_discrepancy(design.mechanism.strut_range, 2000, seed=8)[np.random.default_rng(1).permutation(2000)]
+    route = plan.settled(goals, goals[0], plan.speed_of(design))
+    true = machine.run(held.secret.true, route.commands, route.t, held.secret.effects).T_base_platform
+    lengths = np.linalg.norm(difference(correction.predict(goals), true)[:, :3], axis=1)
+    promise = held.tree["promise"]
+    assert promise["n"] == 62 + 1 + 3, "each configuration once, the ladder's not, and neither what was exposed on the way"
+    assert np.quantile(lengths, 0.95) <= promise["position_m"] < 2 * np.quantile(lengths, 0.95)
+    assert promise["position"]["lower"] <= np.quantile(lengths, 0.95) and held.tree["conditions"]["moving"] == 4
+
+
+def test_the_first_line_says_whose_scale_it_is(held):
+    assert held.out.splitlines()[0].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
+    out = rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "scaled.json", "--scale-uncertainty", "50e-6",
+              "--scale-source", "certificate 17")
+    scaled = json.loads((held.folder / "scaled.json").read_text())
+    assert "50 um/m, by certificate 17" in out.splitlines()[0] and scaled["promise"]["position_m"] > held.tree["promise"]["position_m"]
+    assert scaled["promise"]["position"]["scale"] == pytest.approx(1.645 * 50e-6 * 0.45 * 0.7, rel=0.5)
+
+
+def test_reversal_is_the_backlash_that_is_there(held):
+    axes = {axis["axis"]: axis for axis in held.tree["iso230"]}
+    u = axes["strut 3"]["u"] * np.sqrt(2 / 3)
+    assert axes["strut 3"]["B"] == pytest.approx(GAP, abs=4 * u) and axes["strut 3"]["cycles"] == 3
+    assert all(axes[name]["B"] < 4 * u for name in axes if name != "strut 3") and len(axes) == 6 and 4 * u < 0.9 * GAP
+    assert not any(axis["formal"] for axis in axes.values())
+
+
+def test_what_was_fitted_is_no_evidence(held, tmp_path):
+    done = rig("certify", held.folder / "cal.json", held.folder / "fit", "--out", held.folder / "no.json", ok=False)
+    frames = len(recording.load(held.folder / "fit").exposures.times()[0])
+    assert f"{frames} of {frames} frames" in done and not (held.folder / "no.json").exists()
+    copy = tmp_path / "copy"
+    shutil.copytree(held.folder / "fit", copy)
+    lines = (copy / "poses.csv").read_text().splitlines()
+    (copy / "poses.csv").write_text("\n".join([lines[0], *lines[-3:]]) + "\n")
+    done = rig("certify", held.folder / "cal.json", copy, "--out", tmp_path / "no.json", ok=False)
+    assert f"3 of {frames} frames" in done and "took part in fitting" in done, "a few rows are enough"
+    done = rig("certify", held.folder / "cal.json", held.folder / "other", held.folder / "other", "--out", tmp_path / "no.json", ok=False)
+    assert "does not count twice" in done
+
+
+def test_too_few_say_what_they_can_promise(held, tmp_path, design, rig_text):
+    _made(tmp_path / "few", held.secret, rig_text, design, "sobol:30", 3)
+    done = rig("certify", held.folder / "cal.json", tmp_path / "few", "--out", tmp_path / "c.json", ok=False)
+    assert "30 distinct configurations" in done and "90.5% of poses" in done and "29 more" in done
+    rig("certify", held.folder / "cal.json", tmp_path / "few", "--out", tmp_path / "c.json", "--coverage", "0.9")
+    assert json.loads((tmp_path / "c.json").read_text())["promise"]["coverage"] == 0.9
+
+
+def test_decisions_are_guarded(held):
+    position, rotation = held.tree["conformity"]
+    assert (position["verdict"], rotation["verdict"]) == (OPEN, OPEN), "66 poses are too few for a decision with 97.5 % confidence"
+    assert rotation["guard"] is None and position["tolerance"] == pytest.approx(15e-6)
+
+
+def test_the_page_says_it_all(held):
+    page = (held.folder / "made" / "certificate.html").read_text()
+    assert "Nobody certified the scale" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
+    assert "inputs_sha256" in page
