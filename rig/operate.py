@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -178,8 +179,8 @@ class Operator:
         frames = bench.shutter.grab() if bench.shutter else {}
         self._look()
         names = {camera: f"images/{camera}/{number:05d}.png" for camera in frames}
-        for camera, frame in frames.items():
-            bench.save(self._folder / names[camera], frame.image)
+        with ThreadPoolExecutor(max(len(frames), 1)) as pool:  # packing an image takes as long as reading it
+            list(pool.map(lambda camera: bench.save(self._folder / names[camera], frames[camera].image), frames))
         for folder in {place for name in names.values() for place in (self._folder / name).parents if self._folder in place.parents}:
             sync_folder(folder)
         t = float(np.mean([frame.t for frame in frames.values()])) - self._origin if frames else self.now()

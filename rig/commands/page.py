@@ -1,5 +1,7 @@
 """A run's view -> what its page shows: figures in mm and mrad, images as JPEG, the rig as lines in three dimensions."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -9,7 +11,7 @@ from rig.design import Camera, Design
 from rig.page import PageServer
 from rig.pose import transform_points, vector
 from vision.corners.detect import grey
-from vision.targets import marker_map
+from vision.targets import MarkerMap, marker_map
 
 WIDTH = 960  # px, of images on the page at most
 QUALITY = 80
@@ -23,8 +25,11 @@ class Page:
     def __init__(self, looking: Looking, port: int) -> None:
         self._design = looking.design
         self._server = PageServer(lambda: looking.ask_stop("stopped from the page"), port)
-        self.url, self._history, self._shown = self._server.url, [], None
-        self._fixed = _fixed_parts(self._design)
+        self.url = self._server.url
+        self._history: list[dict] = []
+        self._shown: Seen | None = None
+        self._markers = marker_map(self._design) if self._design.targets else None
+        self._fixed = _fixed_parts(self._design, self._markers)
 
     def __enter__(self) -> "Page":
         return self
@@ -38,20 +43,21 @@ class Page:
         if view.seen is not None and view.seen is not self._shown:
             self._shown = view.seen
             self._history = [*self._history[1 - LATEST :], _figures(view.seen)]
-            images = {name: jpeg(frame.image) for name, frame in view.seen.shot.frames.items()}
-        self._server.show(self._event(view), images)
+            images = {name: partial(jpeg, frame.image) for name, frame in view.seen.shot.frames.items()}
+        self._server.show(partial(self._event, view, self._history), images)
 
     def close(self) -> None:
         """The run is over; the page stays until the context ends."""
 
-    def _event(self, view: View) -> dict:
+    def _event(self, view: View, history: list[dict]) -> dict:
         struts = [{"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
                   for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())]
         T = view.seen.sight.T_base_platform if view.seen is not None else None
         return {"phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step, "steps": view.steps,
-                "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": self._history,
+                "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": history,
                 "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
-                "seen": None if view.seen is None else _seen(view.seen, self._design), "rig": _rig(self._design, self._fixed, T)}
+                "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
+                "rig": _rig(self._design, self._fixed, self._markers, T)}
 
 
 def jpeg(image: np.ndarray) -> bytes:
@@ -70,8 +76,8 @@ def _figures(seen: Seen) -> dict:
             "innovation": None if learnt is None else learnt.innovation}
 
 
-def _seen(seen: Seen, design: Design) -> dict:
-    ids = marker_map(design).id
+def _seen(seen: Seen, design: Design, markers: MarkerMap | None) -> dict:
+    ids = np.zeros(0, int) if markers is None else markers.id
     sight, learnt, T = seen.sight, seen.learnt, seen.sight.T_base_platform
 
     def scaled(values: np.ndarray, scale: float) -> list[float]:
@@ -97,9 +103,8 @@ def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
             "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist()}
 
 
-def _fixed_parts(design: Design) -> list[dict]:
+def _fixed_parts(design: Design, markers: MarkerMap | None) -> list[dict]:
     """What of the rig does not move, as lines: the base, its targets, the cameras' sights."""
-    markers = marker_map(design) if design.targets else None
     parts = []
     for camera in design.cameras:
         reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
@@ -113,7 +118,7 @@ def _fixed_parts(design: Design) -> list[dict]:
     return parts
 
 
-def _rig(design: Design, fixed: list[dict], T: RigidTransform | None) -> dict:
+def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidTransform | None) -> dict:
     """The rig as lines at a pose of the platform, at home before one is known."""
     m, parts = design.mechanism, list(fixed)
     middle = [0.0, 0.0, 0.0]
@@ -124,8 +129,7 @@ def _rig(design: Design, fixed: list[dict], T: RigidTransform | None) -> dict:
                   for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
         parts += [{"kind": "plate", "points": [*ring.tolist(), ring[0].tolist()]} for ring in (m.base_joints, top)]
         middle = (m.home.translation / 2).tolist()
-    if design.targets and T is not None:
-        markers = marker_map(design)
+    if markers is not None and T is not None:
         corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))
         parts += [{"kind": "face", "points": quad.tolist()} for quad in corners.reshape(-1, 4, 3)]
     size = max([float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras] or [1.0])

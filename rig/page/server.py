@@ -7,8 +7,10 @@ fixed few. See docs/operating.md for what that guards against.
 import hmac
 import json
 import secrets
+import sys
 import threading
 from collections.abc import Callable
+from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
@@ -25,6 +27,7 @@ HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Re
            "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
                                       "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"}
 ALIVE = 10.0  # s between signs of life on a line without events
+LAST = 1.0  # s that browsers have to take the last event
 LINES = 16  # browsers that may listen at a time
 
 
@@ -33,9 +36,11 @@ class PageServer:
 
     def __init__(self, stop: Callable[[], None], port: int = 0) -> None:
         self.token = secrets.token_urlsafe(24)
-        self._stop, self._event = stop, b"{}"
-        self._images: dict[str, bytes] = {}
+        self._stop = stop
+        self._draw: Callable[[], dict] = dict
+        self._images: dict[str, Callable[[], bytes]] = {}
         self._changed, self._number, self._open, self._lines = threading.Condition(), 0, True, 0
+        self._drawing, self._drawn = threading.Lock(), (-1, b"")  # number of the event that was drawn last, and what it came to
         try:
             self._server = _Server((HOST, port), _Handler)
         except OSError as error:
@@ -46,12 +51,15 @@ class PageServer:
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
         self._thread.start()
 
-    def show(self, event: dict, images: dict[str, bytes] | None = None) -> None:
-        """Have every browser told. event : what JSON can hold; images : {camera: JPEG} in place of those before, or None"""
+    def show(self, event: Callable[[], dict], images: dict[str, Callable[[], bytes]] | None = None) -> None:
+        """Have every browser told. Both are called only if one looks, once for all of them, and from any thread.
+
+        event : makes what JSON can hold; images : {camera: makes its JPEG} in place of those before, or None
+        """
         with self._changed:
-            self._event = json.dumps(event, allow_nan=False).encode()
+            self._draw = event
             if images is not None:
-                self._images = dict(images)
+                self._images = {camera: cache(made) for camera, made in images.items()}
             self._number += 1
             self._changed.notify_all()
 
@@ -60,6 +68,7 @@ class PageServer:
         with self._changed:
             self._open = False
             self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._lines, LAST)
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -71,7 +80,8 @@ class PageServer:
     def image(self, camera: str) -> bytes | None:
         """The latest JPEG of a camera, None where there is none."""
         with self._changed:
-            return self._images.get(camera)
+            made = self._images.get(camera)
+        return None if made is None else made()
 
     def listen(self, after: int, seconds: float) -> tuple[int, bytes, bool] | None:
         """(number, event, whether more may come) newer than number `after`, waited for so long (s); None where none came."""
@@ -79,7 +89,11 @@ class PageServer:
             self._changed.wait_for(lambda: self._number > after or not self._open, seconds)
             if self._number == after and self._open:
                 return None
-            return self._number, self._event, self._open
+            number, draw, going = self._number, self._draw, self._open
+        with self._drawing:
+            if self._drawn[0] < number:
+                self._drawn = number, json.dumps(draw(), allow_nan=False).encode()
+            return *self._drawn, going
 
     def take_line(self, more: int) -> bool:
         """Count a browser that listens (+1) or no longer does (-1); False where there are too many."""
@@ -87,6 +101,7 @@ class PageServer:
             if more > 0 and self._lines >= LINES:
                 return False
             self._lines += more
+            self._changed.notify_all()
             return True
 
 
@@ -95,7 +110,9 @@ class _Server(ThreadingHTTPServer):
     page: PageServer
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is no error of the run's."""
+        """A browser that went away is no error of the run's; a mistake of ours is told, and costs the page alone."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -53,7 +53,7 @@ def test_who_has_the_token_sees_the_page_and_nothing_leads_elsewhere(page):
         assert headers["Cache-Control"] == "no-store" and headers["Referrer-Policy"] == "no-referrer" and headers["X-Frame-Options"] == "DENY"
         assert "default-src 'none'" in headers["Content-Security-Policy"] and "unsafe" not in headers["Content-Security-Policy"]
     assert ask(page, "/image?camera=cam0")[0] == 404
-    page.show(EVENT, {"cam0": b"\xff\xd8jpeg"})
+    page.show(lambda: EVENT, {"cam0": lambda: b"\xff\xd8jpeg"})
     assert ask(page, "/image?camera=cam0")[2] == b"\xff\xd8jpeg"
 
 
@@ -106,7 +106,7 @@ def test_the_button_needs_a_post_from_this_page(page):
 
 
 def test_events_come_as_they_are_shown_and_end_with_the_run(page):
-    page.show({"phase": "one"})
+    page.show(lambda: {"phase": "one"})
     stream = socket.create_connection(("127.0.0.1", page.port), timeout=10)
     stream.sendall(f"GET /events?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
     with stream, stream.makefile("rb") as lines:
@@ -114,7 +114,7 @@ def test_events_come_as_they_are_shown_and_end_with_the_run(page):
             pass
         assert json.loads(lines.readline()[6:]) == {"phase": "one"}
         lines.readline()
-        page.show({"phase": "two"})
+        page.show(lambda: {"phase": "two"})
         assert json.loads(lines.readline()[6:]) == {"phase": "two"}
         page.close()
         rest = lines.read()
@@ -125,12 +125,28 @@ def test_events_come_as_they_are_shown_and_end_with_the_run(page):
     server.close()
 
 
+def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):
+    drawn, told = [], []
+
+    def event():
+        drawn.append(1)
+        return {"phase": len(drawn)}
+
+    for _ in range(5):
+        page.show(event, {"cam0": lambda: told.append(1) or b"jpeg"})
+    assert drawn == told == []
+    assert [page.listen(-1, 0)[1] for _ in range(3)] == [b'{"phase": 1}'] * 3 and drawn == [1]
+    assert {page.image("cam0") for _ in range(3)} == {b"jpeg"} and told == [1]
+    page.show(event)
+    assert page.listen(5, 0)[1] == b'{"phase": 2}' and page.image("cam0") == b"jpeg"
+
+
 @pytest.mark.slow
 def test_a_browser_shows_it(page, tmp_path):
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("needs Chromium: apt-get install chromium")
-    page.show({**EVENT, "ended": ""}, {})
+    page.show(lambda: {**EVENT, "ended": ""}, {})
     with subprocess.Popen([browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000",
                            "--dump-dom",
                            page.url], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:

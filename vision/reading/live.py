@@ -1,10 +1,11 @@
 """A recording measured while it grows: every frame's corners and pose as it comes, cameras adjusted to the frames so far now and then.
 
 The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between two
-adjustments the cameras are held, so that one that has moved shows.
+adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside: frames that come
+meanwhile are measured with the cameras as they were.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from rig.errors import NotEnoughData
 from rig.processes import cores
 from rig.recording import Corners
 from vision.corners.detect import Detection, detect, grey, place
-from vision.corners.spread import PLAIN
+from vision.corners.spread import PLAIN, Spread
 from vision.measure import Measurement, measure
 from vision.observations import Observations, from_corners
 from vision.pose.frames import Views, locate_frames, resect
@@ -47,6 +48,15 @@ class Sight:
     expected: dict[str, tuple[int, ...]]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Adjusted:
+    """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both empty where not learnt anew."""
+
+    measurement: Measurement | None
+    spread: dict[str, Spread]
+    again: dict[tuple[int, str], Detection]
+
+
 class Live:
     """The measuring of one run. design : Design as stated; cameras : as adjusted so far; noise : px of a corner, None before that."""
 
@@ -61,10 +71,13 @@ class Live:
         self._measurement: Measurement | None = None
         self._first: list[tuple[int, str, np.ndarray]] = []  # images from which the cameras' edges are learnt; none once they are
         self._spread = {camera.name: PLAIN for camera in design.cameras}
-        self._pool = ThreadPoolExecutor(cores())
+        self._pool, self._beside = ThreadPoolExecutor(cores()), ThreadPoolExecutor(1)
+        self._adjusting: Future[_Adjusted] | None = None
+        self._told = 0  # frames of the last adjustment that was begun
 
     def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
         """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or None."""
+        self._adopt()
         by_name = {camera.name: camera for camera in self.cameras}
         adjusted = self._measurement is not None and T_expected is not None
         work = [(name, self._pool.submit(detect, image, by_name[name], self.markers, self._spread[name],
@@ -73,42 +86,58 @@ class Live:
         detections = {name: future.result() for name, future in work}
         rows = [(frame, name, detection) for name, detection in detections.items()]
         self._rows += rows
-        if self._measurement is None and len(self._first) < TAUGHT[0] * len(images):
+        if not self._told and len(self._first) < TAUGHT[0] * len(images):
             self._first += [(frame, name, image) for name, image in images.items()]
         sight = self._locate(frame, rows, detections)
         self._solved += sight.T_base_platform is not None
         return sight
 
-    def adjust(self) -> Measurement | None:
-        """Adjust cameras to all frames so far where it is time to; the Measurement, or None. Takes a second or so: call it while nobody waits."""
-        if self._solved not in TAUGHT or (self._measurement is not None and len(self._measurement.frames) >= self._solved):
-            return None
-        if self._first:
-            self._learn_edges()
-        corners, correlation = corners_of(self._rows)
+    def adjust(self) -> None:
+        """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame to come."""
+        due = max((count for count in TAUGHT if count <= self._solved), default=0)
+        if due > self._told and self._adjusting is None:
+            self._told = due
+            self._adjusting = self._beside.submit(self._adjusted, tuple(self._rows), tuple(self._first))
+            self._first = []
+
+    def _adopt(self) -> None:
+        """Take over an adjustment that has come to its end. Raises what it raised."""
+        if self._adjusting is None or not self._adjusting.done():
+            return
+        done, self._adjusting = self._adjusting.result(), None
+        self._spread |= done.spread
+        self._rows = [(frame, name, done.again.get((frame, name), detection)) for frame, name, detection in self._rows]
+        if done.measurement is not None:
+            m = self._measurement = done.measurement
+            self.cameras, self.noise, self._factor = m.design.cameras, m.noise, m.factor
+
+    def _adjusted(self, rows: tuple[tuple[int, str, Detection], ...], first: tuple[tuple[int, str, np.ndarray], ...]) -> _Adjusted:
+        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look, or none"""
+        spread, again = self._edges(rows, first) if first else ({}, {})
+        corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
         observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
         try:
-            self._measurement = measure(observed, self.design, self.markers)
+            return _Adjusted(measure(observed, self.design, self.markers), spread, again)
         except NotEnoughData:
-            return None
-        self.cameras, self.noise, self._factor = self._measurement.design.cameras, self._measurement.noise, self._measurement.factor
-        return self._measurement
+            return _Adjusted(None, spread, again)
 
-    def _learn_edges(self) -> None:
-        """How each camera's edges look, from the first images; their corners are placed once more with that."""
-        again = {}
-        for camera in self.cameras:
-            own = {frame: grey(image)[1] for frame, name, image in self._first if name == camera.name}
-            seen = {frame: detection for frame, name, detection in self._rows if name == camera.name and frame in own}
-            spread = learn_spread([(own[f], d.read) for f, d in seen.items()], camera, self.markers)
-            self._spread[camera.name] = spread
-            again.update({(f, camera.name): place(own[f], camera, self.markers, d.read, spread) for f, d in seen.items()})
-        self._rows = [(frame, name, again.get((frame, name), detection)) for frame, name, detection in self._rows]
-        self._first = []
+    def _edges(self, rows: tuple[tuple[int, str, Detection], ...], first: tuple[tuple[int, str, np.ndarray], ...]
+               ) -> tuple[dict[str, Spread], dict[tuple[int, str], Detection]]:
+        """How each camera's edges look in some images, and those images' corners placed once more with that."""
+        spread, again = {}, {}
+        for camera in self.design.cameras:
+            own = {frame: grey(image)[1] for frame, name, image in first if name == camera.name}
+            seen = {frame: detection for frame, name, detection in rows if name == camera.name and frame in own}
+            spread[camera.name] = learn_spread([(own[f], d.read) for f, d in seen.items()], camera, self.markers)
+            again.update({(f, camera.name): place(own[f], camera, self.markers, d.read, spread[camera.name]) for f, d in seen.items()})
+        return spread, again
 
     def close(self) -> None:
-        """End the threads."""
+        """End the threads, once what is adjusted has come to its end. Raises what that raised."""
         self._pool.shutdown()
+        self._beside.shutdown()
+        if self._adjusting is not None:
+            self._adjusting.result()
 
     def _locate(self, frame: int, rows: list[tuple[int, str, Detection]], detections: dict[str, Detection]) -> Sight:
         corners, correlation = corners_of(rows)
