@@ -18,6 +18,7 @@ from calib.arms.observations import Observations
 from rig.design import Arm
 from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import arm as mechanism
+from rig.pose import log
 
 LEAST = {"pose": 3, "position": 6, "distance": 10}
 ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
@@ -28,10 +29,12 @@ HUBER = 3.0  # times the median; an observation farther off counts less
 ZERO = 0.1  # rad; what a joint's zero may be off by
 COARSE = (0.03, 0.05)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
 FINE = (1e-3, 2e-3)  # m, rad; the same once zeros are free
+AWAY, REACH = 3.0, 0.3  # m, what bases stand away by and targets on hands reach: what poses leave open goes no farther
+TURN = 3.0  # rad, the same of rotations from where the refinement begins
 STEPS, SETTLED = 60, 1e-7
 FITS = 0.02  # m; a placement that leaves more (median) is none
 TWOFOLD = 1.5  # times what the best leaves, up to which another place fits as well
-SAME = (0.02, 0.05)  # m, rad between placements that are one
+SAME = 0.05  # rad between the bases of placements that are one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +118,8 @@ def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M:
                   unknown: tuple[bool, bool]) -> Arm:
     """Arm with a rotation of the base (3, 3), and what then follows for the rest."""
     base, tool = unknown
-    solution = np.linalg.lstsq(A, (p @ X - f).ravel())[0] if A.shape[1] else np.zeros(0)
+    sizes = np.repeat([size for size, free in ((REACH, tool), (AWAY, base)) if free], 3)
+    solution = np.linalg.solve(A.T @ A + np.diag((COARSE[0] / sizes) ** 2), A.T @ (p @ X - f).ravel())
     z = solution[:3] if tool else arm.tool.translation
     t = X @ solution[-3:] if base else arm.base.translation
     Z = arm.tool.rotation.as_matrix()
@@ -148,8 +152,10 @@ def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tu
     free[:6], free[-6:] = unknown
     free[-3:] &= posed
     zeros = np.arange(6 + 5, 6 + 5 * n, 5)  # all but the first, which is the base's
+    prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
-    at = _Misfit.of(observations, arm, rows, prior, posed)
+    start = arm
+    at = _Misfit.of(observations, arm, start, rows, prior, posed)
     damping = 1e-4
     for _ in range(steps):
         J = (observations.jacobian(arm)[..., free] * at.weight[:, None, None] / _sigma(posed)[:, None]).reshape(-1, free.sum())
@@ -159,7 +165,7 @@ def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tu
         while damping < 1e8:
             step[free] = np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-9), g)
             trial = model.moved(arm, step)
-            new = _Misfit.of(observations, trial, rows, prior, posed)
+            new = _Misfit.of(observations, trial, start, rows, prior, posed)
             if new.cost(at.scale) <= at.cost(at.scale):
                 break
             damping *= 8
@@ -178,7 +184,7 @@ def _sigma(posed: bool) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """residual : (m, k) in FINE; moved : (p,) zeros times prior; scale : of the residuals, at least 1; weight : (m,) of each observation."""
+    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they began; scale : of the residuals, at least 1; weight : (m,) of each observation."""
 
     residual: np.ndarray
     moved: np.ndarray
@@ -186,13 +192,13 @@ class _Misfit:
     weight: np.ndarray
 
     @classmethod
-    def of(cls, observations: Observations, arm: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool) -> "_Misfit":
+    def of(cls, observations: Observations, arm: Arm, start: Arm, rows: np.ndarray, prior: np.ndarray, posed: bool) -> "_Misfit":
         r = observations.residuals(arm) / _sigma(posed)
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
-        zeros = np.zeros(len(prior))
-        zeros[6:-6:5] = arm.rows[:, 0] - rows[:, 0]
-        return cls(r, prior * zeros, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
+        moved = np.concatenate([log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)])
+        moved[6:-6:5] = arm.rows[:, 0] - rows[:, 0]
+        return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
 
     def cost(self, scale: float) -> float:
         """Huber's cost of the residuals over a scale, and the prior's."""
@@ -201,9 +207,8 @@ class _Misfit:
 
 
 def _same(a: Arm, b: Arm) -> bool:
-    """Whether two placements stand at the same place."""
-    step = a.base.inv() * b.base
-    return bool(np.linalg.norm(step.translation) < SAME[0] and step.rotation.magnitude() < SAME[1])
+    """Whether two placements that fit are one: the base's rotation given, all else is linear, and what may differ is what poses leave open."""
+    return bool((a.base.inv() * b.base).rotation.magnitude() < SAME)
 
 
 def _covering(count: int) -> np.ndarray:
@@ -216,11 +221,11 @@ def _covering(count: int) -> np.ndarray:
 
 
 def _span(A: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span those of A."""
+    """Orthonormal columns that span what A tells of sizes up to AWAY."""
     if not A.shape[1]:
         return A
     U, s, _ = np.linalg.svd(A, full_matrices=False)
-    return U[:, s > 1e-9 * s[0]]
+    return U[:, s > COARSE[0] / AWAY]
 
 
 def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:

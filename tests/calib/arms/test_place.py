@@ -60,9 +60,22 @@ def missed(seed: int) -> float:
     return float(np.linalg.norm(model.predicted(fresh, found.arm).translation - model.predicted(fresh, true).translation, axis=1).max())
 
 
-@pytest.mark.parametrize("seed", (0, 1, 4, 5, 9))
+@pytest.mark.parametrize("seed", (0, 1, 4, 5, 9, 41))
 def test_an_arm_is_found_from_a_bad_start(seed):
     assert missed(seed) < 1e-3
+
+
+def test_what_a_level_hand_leaves_open_goes_nowhere():
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        true = replace(worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)))
+        q = level(120, rng)
+        T = model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
+        seen = of_samples(Samples(np.arange(120), np.arange(120) * 1.0, q, T, np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1)),
+                                  np.zeros((120, 6, 0))))
+        start = placed(seen, UR10, True, True)
+        assert np.linalg.norm(start.base.translation) < 5 and np.linalg.norm(start.tool.translation) < 2
+        assert (identify(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
 
 
 @pytest.mark.slow
