@@ -13,8 +13,8 @@ from calib.arms.profile import Profile
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import GAIN, Progress
 from calib.certify.held_out import HeldOut, compare, correlation, errors_of
-from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, dispersion, too_few
-from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, too_few
+from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.samples import Samples
 from rig.design import Arm, Instrument
 from rig.plan import FILL, low_discrepancy

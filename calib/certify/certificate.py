@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.certify.claim import LEAST, Claim, promise
-from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.claim import Claim, promise
+from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, correlation, errors_of
 from calib.correct.correction import Correction, calibrate
 from calib.correct.interpolate.radial import Radial
@@ -27,7 +27,7 @@ GAIN = 2.0  # standard errors by which the remainder must pay on held-out poses 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than claim.LEAST of them"""
+    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them"""
 
     correction: Correction[Hexapod, Radial]
     found: Identified

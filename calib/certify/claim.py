@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
@@ -24,7 +25,6 @@ from rig.mechanisms import hexapod as mechanism
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
 
-LEAST = 8  # distinct configurations from which a factor is claimed; fewer cannot say whether the model holds elsewhere
 PLACES = 256  # of the workspace
 DRAWS = 1000
 TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it

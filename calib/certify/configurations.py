@@ -8,6 +8,7 @@ from rig.design import Arm, Hexapod
 from rig.pose import difference, exp
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
+LEAST = 8  # distinct configurations from which a factor is claimed, or has an interval; fewer cannot say whether the model holds elsewhere
 
 
 def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:

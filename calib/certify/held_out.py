@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
 from calib.samples import Samples
 from rig import mechanisms
@@ -30,7 +31,8 @@ class HeldOut:
     """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
 
     floor : (m, rad) RMS standard uncertainty of the measured poses themselves
-    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses
+    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses; of fewer than
+    LEAST configurations it has none, NaN
     configurations : how many distinct ones these poses are
     """
 
@@ -63,7 +65,7 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
     squares = [np.bincount(label, weights=(e[:, :3] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
     picks = rng.integers(count, size=(DRAWS, count))
     draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
-    low, high = np.quantile(draws, [0.025, 0.975])
+    low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
     ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
     return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
 

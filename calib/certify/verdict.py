@@ -26,8 +26,9 @@ def verdict(claim: Claim) -> list[str]:
 
 
 def factor(three: tuple[float, ...]) -> str:
-    """A ratio (median, low, high) in words."""
-    return f"{three[0]:.3g} times better (95 % interval {three[1]:.3g} to {three[2]:.3g})"
+    """A ratio (median, low, high) in words; low and high are NaN where there is no interval."""
+    interval = "too few configurations for an interval" if math.isnan(three[1]) else f"95 % interval {three[1]:.3g} to {three[2]:.3g}"
+    return f"{three[0]:.3g} times better ({interval})"
 
 
 def kept(held: HeldOut, claim: Claim) -> bool:
@@ -44,7 +45,8 @@ def most(held: HeldOut, claim: Claim) -> float:
 
 def verified(held: HeldOut, claim: Claim | None) -> str:
     """The verdict on a calibration by a recording's poses: a line."""
-    here = (f"{factor(held.ratio)} on these {held.configurations} configurations: {held.before.position[0] * 1e3:.3f} -> "
+    where = "this 1 configuration" if held.configurations == 1 else f"these {held.configurations} configurations"
+    here = (f"{factor(held.ratio)} on {where}: {held.before.position[0] * 1e3:.3f} -> "
             f"{held.after.position[0] * 1e3:.4f} mm RMS as measured")
     if claim is None or claim.after is None:
         return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")

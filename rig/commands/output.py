@@ -98,6 +98,8 @@ def add_port(parser: ArgumentParser) -> None:
 
 def print_comparison(held: HeldOut, title: str) -> None:
     """Print a HeldOut as a table in mm and mrad."""
+    from calib.certify.verdict import factor
+
     names = ("mean", "RMS", "95 %", "max")
     print(f"{title}, N = {held.after.n}, {held.configurations} distinct configurations:")
     print(f"{'':14}{'position, mm':>40}{'rotation, mrad':>43}")
@@ -106,9 +108,7 @@ def print_comparison(held: HeldOut, title: str) -> None:
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
     rotation = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
-    print(f"on these poses {held.ratio[0]:.1f} times better (95 % interval {held.ratio[1]:.1f} to {held.ratio[2]:.1f}); the measured poses "
-          "themselves are "
-          f"uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
+    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
 
 
 def _cell(value: float) -> str:

@@ -139,8 +139,9 @@ def _struts(moves: Moves) -> Iterator[Candidate]:
         middle = kinematics.inverse(moves.mechanism.home, moves.mechanism)
         for i in turned:
             q[:, i - 1] = 2 * middle[i - 1] - q[:, i - 1]
-        which = "all struts" if len(turned) == 6 else f"strut{'s' * (len(turned) > 1)} {', '.join(map(str, turned))}"
-        yield f"commands.csv: {which} run with the sign reversed about home", "Turn the sign of their travel", replace(moves, q=q)
+        which = ("all struts run" if len(turned) == 6 else f"strut {turned[0]} runs" if len(turned) == 1 else
+                 f"struts {', '.join(map(str, turned))} run")
+        yield f"commands.csv: {which} with the sign reversed about home", "Turn the sign of their travel", replace(moves, q=q)
     home = kinematics.inverse(moves.mechanism.home, moves.mechanism)
     for what, do, q in (("commands.csv: lengths are relative to home", "Add each strut's length at home", moves.q + home),
                         ("commands.csv: lengths are in millimetres", "Divide them by 1000", moves.q / 1e3)):

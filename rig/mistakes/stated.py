@@ -12,6 +12,7 @@ WIDE = (0.15, 20.0)  # focal length in image widths that lenses have
 SQUARE = 0.15  # share by which pixels may differ from square
 CENTRE = 0.2  # share of the image by which the principal point may be off its middle
 SLIP = 0.06  # likewise, where exchanging cx and cy brings it to the middle
+MIDDLE = 0.03  # likewise, of one that is in the middle
 TANGENTIAL = 0.03
 
 
@@ -46,7 +47,14 @@ def written(tree: dict) -> Iterator[Mistake]:
 def _matrix(camera: Camera) -> Iterator[Mistake]:
     (fx, _, cx), (_, fy, cy), _ = camera.matrix
     w, h, name = camera.width, camera.height, f"rig.toml: camera {camera.name}"
-    off, turned = max(abs(cx / w - 0.5), abs(cy / h - 0.5)), max(abs(cy / w - 0.5), abs(cx / h - 0.5))
+    aside = abs(cx / w - 0.5), abs(cy / h - 0.5)
+    off, turned = max(aside), max(abs(cy / w - 0.5), abs(cx / h - 0.5))
+    if min(aside) < MIDDLE and off > SLIP and abs(np.log(fx / fy)) <= SQUARE:
+        which, other = ("width", f"{2 * cx + 1:.0f} x {h}") if aside[0] > MIDDLE else ("height", f"{w} x {2 * cy + 1:.0f}")
+        yield Mistake(f"{name}: {which} is of another image size than the matrix: the principal point ({cx:g}, {cy:g}) is the middle of {other} px, "
+                      f"not of {w} x {h}", "State width, height and matrix of the same images; of images cropped to one side all is well",
+                      False, 0.85)
+        return
     if off <= CENTRE and not (off > SLIP and turned < off / 4) and abs(np.log(fx / fy)) <= SQUARE:
         if not WIDE[0] < fx / w < WIDE[1]:
             yield Mistake(f"{name}: a focal length of {fx:g} px is implausible for an image of {w} px (in millimetres, or another image's?)",

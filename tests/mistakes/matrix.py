@@ -191,6 +191,7 @@ simple("fx and cx exchanged", "corners", "fx, fy and cx, cy are exchanged", came
 simple("cx and cy exchanged", "corners", "cx and cy are exchanged", cameras(matrix(lambda fx, fy, cx, cy: (fx, fy, cy, cx))))
 simple("matrix of half the resolution", "corners", "another image size|half the size", cameras(matrix(lambda fx, fy, cx, cy: (fx / 2, fy / 2, cx / 2, cy / 2))))
 simple("width and height exchanged", "corners", "width and height", cameras(lambda c: c.update(width=c["height"], height=c["width"])))
+simple("width of other images", "corners", "width is of another image size than the matrix", cameras(lambda c: c.update(width=c["width"] * 5 // 4)))
 simple("focal length in mm", "corners", "focal length", cameras(matrix(lambda fx, fy, cx, cy: (8.0, 8.0, cx, cy))))
 simple("distortion with the other sign", "corners", "sign of the distortion", cameras(lambda c: c.update(distortion=[-k for k in c["distortion"]])))
 simple("distortion k1 k2 k3 p1 p2", "corners", "distortion is in another order", cameras(lambda c: c.update(distortion=[0.08, -0.1, 0.0, 0.0, 0.0][:0] or [

@@ -26,7 +26,8 @@ HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners
 BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
 BETTER = 0.35  # of the misfit that a mistake named may leave
 DONE = 0.5  # px; a mistake that leaves less explains all
-SEARCH = 8.0  # s of processor time, after which no more mistakes are tried
+SEARCH = 8.0  # s of processor time, after which no more mistakes are tried before a measurement
+THOROUGH = 40.0  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
 NEARER = 0.25  # of that, which a mistake named may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
@@ -37,28 +38,29 @@ Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
 def look(recording: Recording, corners: Corners, thorough: bool = False) -> tuple[Mistake, ...]:
     """Mistakes that a recording's corners show, in order; nothing is written and nothing changed.
 
-    corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands, not a few
+    corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
+    not a few, and the search goes on for longer
     """
     frames, t = recording.exposures.times()
     seen = of(recording.design, corners, frames, t)
     if seen is None:
         return ()
     first = trial(seen)
-    found, best = _seen(first)
+    found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None:
         found += _posed(best.measured, recording.design) + _lens(best.measured, best.seen.design)
         found += _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
     return in_order(found)
 
 
-def _seen(first: Trial) -> tuple[list[Mistake], Trial]:
-    """Mistakes that explain a misfit, and the Trial that is best."""
+def _seen(first: Trial, longest: float) -> tuple[list[Mistake], Trial]:
+    """Mistakes that explain a misfit, and the Trial that is best. longest : s of processor time to search for"""
     if first.misfit < FINE:
         return [], first
     sized, best = _sized(first)
     unexplained = "no usual mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
-        tried, through = _tried(first)
+        tried, through = _tried(first, longest)
         rivals = [(what, do, other) for what, do, other in tried if other.misfit < BETTER * first.misfit]
         if not through:
             unexplained = f"the search ended after {len(tried)} usual mistakes, none of which explains it, before all were tried"
@@ -113,17 +115,18 @@ def _edges(first: Trial) -> float:
     return min(trial(put(bias)).misfit for bias in BIASES)
 
 
-def _tried(first: Trial) -> tuple[list[tuple[str, str, Trial]], bool]:
+def _tried(first: Trial, longest: float) -> tuple[list[tuple[str, str, Trial]], bool]:
     """((what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all; whether time sufficed for it)."""
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
     makers: list[Maker] = [cameras.lenses]
     if first.misfit > GROSS:
-        makers = [order.candidates, cameras.exchanges, cameras.lenses, order.of_one, *([cameras.posed] if stated else []), targets.exchanged]
+        makers = [order.candidates, cameras.exchanges, targets.exchanged, cameras.lenses, order.of_one, *([cameras.posed] if stated else [])]
     wrong = targets.suspicious(first) if first.misfit > GROSS else []
-    ones = [lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one) for name in wrong]
+    ones = [lambda s: targets.exchanged(s, wrong), *(lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one)
+                                                     for name in wrong)]
     zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
-    until, tried = time.process_time() + SEARCH, []
+    until, tried = time.process_time() + longest, []
     for make in [*ones, *zoomed, *([targets.edges] if first.misfit > GROSS else []), *makers]:
         least = LOST
         for what, do, other in make(seen):

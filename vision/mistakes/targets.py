@@ -116,10 +116,11 @@ def exact(seen: Seen, share: float, body: str | None, miss: Callable[[Seen], flo
     return share * (1 + by * float(np.clip((squares[0] - squares[2]) / (2 * bend), -4, 4))) if bend > 0 else share
 
 
-def exchanged(seen: Seen) -> Iterator[Candidate]:
-    """Targets exchanged with each other; edge and marker exchanged; cubes on the other body."""
+def exchanged(seen: Seen, names: list[str] | None = None) -> Iterator[Candidate]:
+    """Targets exchanged with each other or on the other body; of all targets, their bodies and poses too. names : those meant, all by default"""
     targets = seen.design.targets
-    for i, k in combinations(range(len(targets)), 2):
+    meant = [i for i, t in enumerate(targets) if names is None or t.name in names]
+    for i, k in combinations(meant, 2):
         a, b = targets[i], targets[k]
         if a.faces and b.faces and len(a.faces) == len(b.faces):
             swapped = list(targets)
@@ -133,11 +134,14 @@ def exchanged(seen: Seen) -> Iterator[Candidate]:
             yield (f"rig.toml: targets {a.name} and {b.name} are exchanged", "Exchange them, or their ids in rig.toml",
                    seen.with_targets(tuple(swapped)))
     other = {"base": "platform", "platform": "base"}
-    yield "rig.toml: body of all targets is exchanged (base for platform)", "Exchange body", seen.with_targets(
-        tuple(replace(t, body=other[t.body]) for t in targets))
-    for i, t in enumerate(targets):
+    for i in meant:
+        t = targets[i]
         yield f"rig.toml: target {t.name} stands on the {other[t.body]}, not on the {t.body}", "Mend its body", seen.with_targets(
             (*targets[:i], replace(t, body=other[t.body]), *targets[i + 1:]))
+    if names is not None:
+        return
+    yield "rig.toml: body of all targets is exchanged (base for platform)", "Exchange body", seen.with_targets(
+        tuple(replace(t, body=other[t.body]) for t in targets))
     for what, change in _POSES:
         if all(t.pose is not None for t in targets):
             yield f"rig.toml: the targets' poses: {what}", "State cube in body: m, rotation vector in rad", seen.with_targets(

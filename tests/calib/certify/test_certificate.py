@@ -5,6 +5,7 @@ import pytest
 
 from calib.certify.certificate import certify
 from calib.certify.held_out import compare, figures
+from calib.certify.verdict import verified
 from calib.samples import blocks
 from tests.calib.worlds import sampled
 
@@ -23,6 +24,17 @@ def test_ratio_comes_with_an_interval():
     held = compare(before, after, np.tile(np.eye(6) * 1e-10, (200, 1, 1)), rng)
     assert held.ratio[1] < held.ratio[0] < held.ratio[2] and held.ratio[0] == pytest.approx(100, rel=0.1)
     assert held.floor == pytest.approx((np.sqrt(3) * 1e-5, np.sqrt(3) * 1e-5))
+
+
+@pytest.mark.parametrize(("count", "where"), [(1, "this 1 configuration:"), (7, "these 7 configurations:")])
+def test_few_configurations_have_no_interval(count, where):
+    """Drawn anew from themselves they always say the same."""
+    rng = np.random.default_rng(0)
+    held = compare(1e-3 * rng.normal(size=(40, 6)), 1e-5 * rng.normal(size=(40, 6)), np.tile(np.eye(6) * 1e-10, (40, 1, 1)), rng,
+                   np.arange(40) % count)
+    assert np.isnan(held.ratio[1:]).all() and held.configurations == count
+    said = verified(held, None)
+    assert f"(too few configurations for an interval) on {where}" in said and "nan" not in said
 
 
 def test_held_out_poses_are_as_good_as_they_are_measured(design):
