@@ -184,7 +184,8 @@ def _sigma(posed: bool) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they began; scale : of the residuals, at least 1; weight : (m,) of each observation."""
+    """residual : (m, k) in FINE; moved : (p,) times prior, zeros from the maker's and base and tool from where they began
+    scale : of the residuals, at least 1; weight : (m,) of each observation."""
 
     residual: np.ndarray
     moved: np.ndarray

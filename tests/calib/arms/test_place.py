@@ -69,10 +69,10 @@ def test_what_a_level_hand_leaves_open_goes_nowhere():
     for seed in range(3):
         rng = np.random.default_rng(seed)
         true = replace(worlds.secret(UR10, rng), base=RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng)))
-        q = level(120, rng)
+        q = level(120, rng).round(7)  # as files hold them: level up to rounding
         T = model.predicted(q, true) * exp(np.repeat(SIGMA, 3) * rng.normal(size=(120, 6)))
-        seen = of_samples(Samples(np.arange(120), np.arange(120) * 1.0, q, T, np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1)),
-                                  np.zeros((120, 6, 0))))
+        covariance = np.tile(np.diag(np.repeat(np.square(SIGMA), 3)), (120, 1, 1))
+        seen = of_samples(Samples(np.arange(120), np.arange(120) * 1.0, q, T, covariance, np.zeros((120, 6, 0))))
         start = placed(seen, UR10, True, True)
         assert np.linalg.norm(start.base.translation) < 5 and np.linalg.norm(start.tool.translation) < 2
         assert (identify(seen, start).scatter < 0.5 * np.repeat(SIGMA, 3)).all(), "geometry explains all but noise"
