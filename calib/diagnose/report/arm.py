@@ -13,7 +13,7 @@ from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.arm.candidates import SPAN, Form
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.fit import Term
-from calib.diagnose.problems.arm.nonlinear import joint_covariance
+from calib.diagnose.problems.arm.nonlinear import joint_covariance, moments
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
 from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, said_of, write
@@ -108,7 +108,7 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
     roles = {p.name: p.role for p in effect.parameters}
-    return out | {key: moment(d.arms.t, v, d.origin) if roles[key] == "moment"
+    return out | {key: moment(d.arms.t, v, d.origin, moments(fit, number, finding.score.dispersion)) if roles[key] == "moment"
                   else Value(v, units[key], [max(v - spread[key], bounds[key][0]), min(v + spread[key], bounds[key][1])] if key in spread else None)
                   for key, v in one.node.items() if key in units and key != name}
 

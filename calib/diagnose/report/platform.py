@@ -138,10 +138,13 @@ def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -
     return out
 
 
-def moment(t: np.ndarray, value: float, origin: Origin) -> Value:
-    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies."""
-    i = int(np.clip(np.searchsorted(t, value), 1, len(t) - 1))
-    return Value(origin.shown(value), "s", [origin.shown(t[i - 1]), origin.shown(t[i])])
+def moment(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, float] | None = None) -> Value:
+    """A moment (s from the recording's start) by the owner's clock, and the frames, at t (n,) s, between which it lies.
+
+    likely : (earliest, latest) s, where it may lie between other frames as well
+    """
+    low, high = (np.clip(np.searchsorted(t, v), 1, len(t) - 1) for v in likely or (value, value))
+    return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
 
 
 def save(folder: Path, d: PlatformDiagnosis, recording: Recording) -> None:

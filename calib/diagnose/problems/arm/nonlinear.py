@@ -13,12 +13,14 @@ from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.products import framewise, solve_with_prior
 from calib.diagnose.problems.arm.candidates import Form, JointCandidate
 from calib.diagnose.problems.arm.fit import Fit, Term
-from calib.diagnose.problems.arm.search import joint_products
+from calib.diagnose.problems.arm.search import joint_products, solved_nodes
 from rig.effects.parameter import Parameter
 
 SEARCHED = ("size", "log", "even")  # roles of parameters that have a value between those of a grid
 CLOSE = 1e-3  # of the way between two values of a grid, to which a parameter is found
 MOVES = 4  # times that the way may be moved on where the best is at its end
+AROUND = 40  # values of a moment's grid to either side that an interval may reach to
+ONE_IN_TWENTY = 3.841459  # chi-square of one degree of freedom
 SMALL = 1e-4  # step for a derivative, of the logarithm of a parameter or of an order
 
 
@@ -83,6 +85,20 @@ def joint_covariance(fit: Fit, number: int) -> Joint:
     lean = leaning[fit.slices[number]]  # how the sizes lean with the parameters
     return Joint(tuple(p.name for p in parameters),
                  np.block([[fit.covariance(number) + lean @ own @ lean.T, -lean @ own], [-own @ lean.T, own]]))
+
+
+def moments(fit: Fit, number: int, dispersion: float) -> tuple[float, float]:
+    """(earliest, latest) s of the values of its grid at which a term's moment may lie: those that explain as much as the best but for what chance
+    does in one of twenty, of AROUND to either side. dispersion : that its score allows for"""
+    term, rest = fit.terms[number], fit.without_terms([number])
+    name = next(p.name for p in term.candidate.kind.parameters if p.role == "moment" and p.name in term.node)
+    values = np.unique([node[name] for node in term.candidate.grid])
+    here = int(np.argmin(np.abs(values - term.node[name])))
+    around = values[max(here - AROUND, 0) : here + AROUND + 1]
+    nodes = [{**term.node, name: float(value)} for value in around]
+    found = solved_nodes(rest, term.candidate, joint_products(rest, term.candidate.joint), nodes).delta_chi2
+    likely = around[found >= found.max() - ONE_IN_TWENTY * dispersion]
+    return float(likely.min()), float(likely.max())
 
 
 def _seen(fit: Fit, term: Term, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
