@@ -123,6 +123,8 @@ def _print(report: Report) -> None:
 
     for finding in report.findings:
         print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
+        if finding.unusual:
+            print(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
     if report.remarks:

@@ -1,7 +1,7 @@
 """Axes give under load, in static equilibrium."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import qr
@@ -13,6 +13,7 @@ from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
 HEAVIEST, LIGHTER, OFF_CENTRE = (4.0, 15.0), 0.7, 0.1  # kg of a first link, each next one's share of it, m: of links that are drawn
+GIVES = 1e-3  # rad RMS; real joints give a tenth of it under an arm's own weight
 RANK = 2e-2  # of the greatest column; what a column has beyond the earlier ones must be more
 
 
@@ -64,6 +65,14 @@ class Compliance(Effect):
         if self.moments:
             return tuple(i for i, v in enumerate(self.moments) if v) if parameter.name == "moments" else ()
         return (None,) if parameter.name == "stiffness" else ()
+
+    @classmethod
+    def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
+        turn = values.get("rms", 0.0)
+        if turn > GIVES:
+            return (f"{place} would turn by {turn * 1e3:.2g} mrad RMS under its load, ten times what gears and bearings give: something else may "
+                    "hide behind it")
+        return super(Compliance, cls).unusual(place, values)
 
     @classmethod
     def sites(cls, context: Context) -> tuple[str, ...]:

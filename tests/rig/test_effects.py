@@ -110,3 +110,12 @@ def test_forces_balance_the_weight(setting):
     np.testing.assert_allclose((forces[..., None] * u).sum(axis=1), np.tile([0, 0, design.platform.mass * 9.80665], (len(t), 1)), atol=1e-9)
     arm = tips - run.T_base_platform.apply(design.platform.centre_of_mass)[:, None]
     np.testing.assert_allclose(np.cross(arm, forces[..., None] * u).sum(axis=1), 0, atol=1e-9)
+
+
+def test_sizes_far_beyond_what_rigs_show_are_said_to_be_so():
+    backlash, compliance = BY_NAME["backlash"], BY_NAME["compliance"]
+    assert backlash.unusual("strut 1", {"gap": 1e-4}) is None and backlash.unusual("joint 1", {"gap": 4e-3}) is None
+    assert "far beyond what rigs show" in backlash.unusual("strut 1", {"gap": 4e-3}), "usual at a joint, where it is an angle, and not at a strut"
+    assert compliance.unusual("strut 1", {"stiffness": 5e6}) is None
+    assert "at the least" in compliance.unusual("strut 1", {"stiffness": 5e4})
+    assert compliance.unusual("joint 5", {"rms": 2e-4}) is None and "mrad" in compliance.unusual("joint 5", {"rms": 1.2e-3})

@@ -15,7 +15,7 @@ from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
 from calib.diagnose.problems.arm.fit import Term
 from calib.diagnose.problems.arm.nonlinear import joint_covariance, moments
 from calib.diagnose.report import arm_contributions
-from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown
+from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown, unusual
 from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, said_of, write
 from rig import machine_file
 from rig.files import write_text
@@ -150,8 +150,9 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
     others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
                                     experiment(candidate, a.score.candidate), a.score.node.get("order")) for a in finding.alternatives)
     evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
-    return FindingEntry(candidate.name, candidate.place, parameters(d, finding), evidence, others, candidate.kind.action_at(candidate.place),
-                        said_of(d.given, candidate.name, candidate.place))
+    found = parameters(d, finding)
+    return FindingEntry(candidate.name, candidate.place, found, evidence, others, candidate.kind.action_at(candidate.place),
+                        said_of(d.given, candidate.name, candidate.place), unusual(candidate.name, candidate.place, found))
 
 
 def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:

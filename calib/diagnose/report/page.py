@@ -63,6 +63,7 @@ def _finding(finding: FindingEntry, view: View) -> list[Part]:
     parts: list[Part] = [] if plot is None else [plot, DOTS]
     parts.append(table(("parameter", "value", "95 % interval"), words.parameter_rows(finding)))
     parts += [f"<p>{sure}</p>"] if sure else []
+    parts += [f"<p>{html.escape(words.sentence(finding.unusual))}</p>"] if finding.unusual else []
     parts += [f"<p>What to do: {html.escape(finding.action)}</p>"] if finding.action else []
     return parts + _alternatives(finding)
 

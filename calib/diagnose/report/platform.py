@@ -104,6 +104,11 @@ def experiment(a: Candidate | Effect, b: Candidate) -> str:
     return shown[0] if a.name == b.name else f"{a.name}: {shown[0]}; {b.name}: {shown[1]}"
 
 
+def unusual(name: str, place: str, parameters: dict[str, Value]) -> str | None:
+    """Why the size of an effect at a place is hard to believe, or None."""
+    return BY_NAME[name].unusual(place, {key: value.value for key, value in parameters.items()})
+
+
 def _swapped(effect: MarkerSwap) -> FindingEntry:
     parameters = {name: Value(value, "") for name, value in effect.values().items()}
     return FindingEntry(effect.name, effect.place, parameters, action=effect.action_at(effect.place))
@@ -125,7 +130,7 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
                                     experiment(effect, a.score.candidate)) for a in finding.alternatives)
     parameters = _parameters(refined, finding.number, effect, d.origin)
     return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place),
-                        said_of(d.given, effect.name, effect.place))
+                        said_of(d.given, effect.name, effect.place), unusual(effect.name, effect.place, parameters))
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:

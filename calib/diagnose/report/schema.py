@@ -53,7 +53,7 @@ class AlternativeEntry:
 
 @dataclass(frozen=True, slots=True)
 class FindingEntry:
-    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it
+    """One effect at one place. parameters : {name: Value}; action : what an owner can do about it; unusual : why its size is hard to believe
     said : "assumed" where the operator took it to be there, "seen before" where the search began with it, else None"""
 
     effect: str
@@ -63,6 +63,7 @@ class FindingEntry:
     cannot_be_told_from: tuple[AlternativeEntry, ...] = ()
     action: str | None = None
     said: str | None = None
+    unusual: str | None = None
 
     @property
     def matters(self) -> bool:
