@@ -247,8 +247,8 @@ def before_after(before: np.ndarray, after: np.ndarray, frames: np.ndarray) -> F
 
 
 def _corrections(correction: Correction[Hexapod, Radial], samples: Samples) -> Figure:
-    seen = samples.commanded - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
-    modelled = correction.summand(samples.commanded)
+    seen = samples.effective - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
+    modelled = correction.summand(samples.effective)
     figure = Figure(figsize=(11, 5), layout="constrained")
     for i, axes in enumerate(figure.subplots(2, 3).ravel()):
         order = np.argsort(samples.commanded[:, i])

@@ -18,6 +18,7 @@ class Samples:
     covariance : (n, 6, 6) of each measured pose, tangent on the right, errors shared by all poses left out; diagonal and
     infinite for rotations that were not measured
     common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses, docs/mathematics.md (6)
+    known : (n, axes) m or rad by which the axes stood beyond their commands, as far as physics that is known says; None for none
     """
 
     frame: np.ndarray
@@ -26,6 +27,7 @@ class Samples:
     T_base_platform: RigidTransform
     covariance: np.ndarray
     common: np.ndarray
+    known: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -37,7 +39,12 @@ class Samples:
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
-                       self.common[index])
+                       self.common[index], None if self.known is None else self.known[index])
+
+    @property
+    def effective(self) -> np.ndarray:
+        """(n, axes) m or rad that commands became by the physics that is known."""
+        return self.commanded if self.known is None else self.commanded + self.known
 
     def total_covariance(self) -> np.ndarray:
         """(n, 6, 6) covariance of each pose, shared errors included."""

@@ -23,6 +23,7 @@ from calib.certify.held_out import Figures, HeldOut
 from calib.certify.claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
+from calib.correct.physics_file import physics_in, physics_out
 from calib.correct.interpolate.radial import Radial
 from rig import json_file
 from rig.design import Arm, Hexapod
@@ -33,6 +34,7 @@ from rig.files import write_text
 from rig.pose import vector
 
 SCHEMA = "calibration/1"
+WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
 MOST_JOINTS = 64
 UNITS = "m, rad, s; covariances in their products"
 FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
@@ -85,7 +87,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
     correction = calibration.correction
     arm = isinstance(correction, ArmCorrection)
     tree = {
-        "schema": SCHEMA, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
+        "schema": SCHEMA if calibration.physics is None else WITH_PHYSICS, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
         "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS,
         "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
@@ -94,7 +96,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
-        "provenance": calibration.provenance,
+        **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -102,7 +104,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
 def load(path: Path | str) -> Calibration:
     """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
     of another shape or a number that cannot be."""
-    tree = json_file.load(Path(path), "calibration", SCHEMA)
+    tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
@@ -113,7 +115,8 @@ def load(path: Path | str) -> Calibration:
     fit = tree.table("fit")
     return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
-                       _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None)
+                       _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
+                       physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None)
 
 
 def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm) -> Correction[Any, Any]:

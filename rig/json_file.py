@@ -10,8 +10,8 @@ from rig.outside import read_text, shown
 LARGEST = 1 << 26  # bytes
 
 
-def load(path: Path, what: str, schema: str | None = None) -> Entries:
-    """The table that a JSON file holds. what : it should be, as in "calibration"; schema : that it must name, or None for any.
+def load(path: Path, what: str, *schemas: str) -> Entries:
+    """The table that a JSON file holds. what : it should be, as in "calibration"; schemas : of which it must name one; none for any.
 
     Raises FileError for a file that is missing, cut off, no JSON, nested too deep or of another schema
     """
@@ -27,6 +27,7 @@ def load(path: Path, what: str, schema: str | None = None) -> Entries:
         raise FileError(path, f"not valid JSON: {error}") from None
     if not isinstance(tree, dict):
         raise FileError(path, f"is no {what}: it holds {shown(tree)}")
-    if schema is not None and tree.get("schema") != schema:
-        raise FileError(path, f'is no {what}: its schema is {shown(tree.get("schema"))}, not "{schema}"')
+    if schemas and tree.get("schema") not in schemas:
+        known = " or ".join(f'"{schema}"' for schema in schemas)
+        raise FileError(path, f'is no {what}: its schema is {shown(tree.get("schema"))}, not {known}')
     return Entries(tree, (), path, {(): (None, None)})

@@ -7,10 +7,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
-from rig.design import Design
+from rig.design import Design, Hexapod, Planar2
 from rig.effects.base import Effect
 from rig.effects.motion import Motion, Path
 from rig.errors import NotConverged, RigError
+from rig.mechanisms import hexapod, planar
 from rig.pose import difference, exp
 from rig.recording import Commands, Sensors
 
@@ -85,6 +86,28 @@ def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Eff
                                state.lengths[failed], left[failed])
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
     return Run(T * exp(sway) if sway.any() else T, deviation)
+
+
+def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+              sensors: Sensors | None = None) -> np.ndarray:
+    """(n, axes) m that commands become under effects at exposures logged at t (n,) s; what depends on the pose is taken at T (n,).
+
+    Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion`
+    """
+    state = replace(motion(design, commands, t, effects, sensors), T=T)
+    out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
+    sway = sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
+    return out + swayed(design, T, sway) if sway.any() else out
+
+
+def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
+    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6)."""
+    m = design.mechanism
+    if isinstance(m, Hexapod):
+        return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)
+    if isinstance(m, Planar2):
+        return np.einsum("nij,nj->ni", planar.jacobian(T, m), sway)
+    raise RigError(f"a {m.kind} has no struts")
 
 
 def rolls(design: Design, effects: Iterable[Effect]) -> bool:

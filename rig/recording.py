@@ -106,6 +106,30 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """Poses that a machine is to take. poses : Poses; t : (n,) s from the first, when each is to be held, or None where nobody says
+    origin : of the owner's clock, by which times are told"""
+
+    poses: Poses
+    t: np.ndarray | None
+    origin: Origin
+
+
+def load_wanted(path: str | Path) -> Wanted:
+    """Wanted of a table frame,x,y,z,rx,ry,rz with or without a column t. Raises FileError with line and column."""
+    poses, rows = load_poses(path), table.read(path, ("frame",))
+    if "t" not in rows.columns:
+        return Wanted(poses, None, Origin())
+    origin = _origin(rows)
+    return Wanted(poses, _increasing(rows, origin), origin)
+
+
+def load_sensors(path: str | Path, origin: Origin) -> Sensors:
+    """Sensors of a sensors.csv beside no recording, its times told by an Origin. Raises FileError with line and column."""
+    return _sensor_rows(table.read(path, ("t",)), origin)
+
+
 def _origin(rows: Table) -> Origin:
     """The Origin that stands at 0 at the first row of a table with times."""
     rows.times("t", Origin())  # which checks them
@@ -148,12 +172,17 @@ def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None
     if not path.exists():
         return None
     rows = table.read(path, ("t",))
+    sensors = _sensor_rows(rows, origin)
+    if set(sensors.channels) - set(LIMBS):
+        _covers(rows, sensors.t, exposures, origin)
+    return sensors
+
+
+def _sensor_rows(rows: Table, origin: Origin) -> Sensors:
     t, channels = _increasing(rows, origin), tuple(name for name in rows.columns if name != "t")
     for name in channels:
         if name_problem(name):
-            raise FileError(path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)
-    if set(channels) - set(LIMBS):
-        _covers(rows, t, exposures, origin)
+            raise FileError(rows.path, f"column {name_problem(name)}", 1, rows.columns.index(name) + 1, name)
     return Sensors(t, {name: rows.numbers(name) for name in channels})
 
 

@@ -8,6 +8,8 @@ import numpy as np
 from calib.certify.claim import Claim
 from calib.certify.held_out import HeldOut
 from calib.correct.correction import Correction
+from calib.correct.physics import Physics
+from rig.errors import RigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +18,8 @@ class Calibration:
     (12 + 5 n, 12 + 5 n) in the order of calib.arms.model; scatter : (6,) m of each strut beyond the poses' noise, of an arm
     (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
     held_out : HeldOut, or None where too few configurations were recorded to hold any out
-    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one"""
+    provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one
+    physics : Physics that was found beyond the geometry and is undone with it, or None"""
 
     correction: Correction[Any, Any]
     covariance: np.ndarray
@@ -26,3 +29,12 @@ class Calibration:
     held_out: HeldOut | None
     provenance: dict[str, Any]
     claim: Claim | None = None
+    physics: Physics | None = None
+
+    def refuse_physics(self, what: str) -> None:
+        """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)
+        does not follow."""
+        if self.physics is not None and self.physics.undone():
+            names = ", ".join(f"{e.label()} at {e.place}" for e in self.physics.undone())
+            raise RigError(f"{what} takes commands as they are, and this calibration knows physics that changes them ({names}); "
+                           "give one made without --diagnosis and --find")

@@ -105,6 +105,6 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
     each = witnesses(kept, label, np.linalg.inv(mechanism.jacobian(kept.T_base_platform, nominal)))
-    offset = done.correction.rho(each.commanded)
+    offset = done.correction.rho(each.effective)
     found = identify(each, nominal, offset, done.found.prior)
     return promise(found, tolerance(found, nominal), done.correction, each, rng)

@@ -46,8 +46,9 @@ def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Sampl
     if count == len(samples):
         return samples
     first, size = np.unique(label, return_index=True)[1], np.bincount(label)
-    commanded = np.stack([np.bincount(label, weights=column) for column in samples.commanded.T], axis=1) / size[:, None]
-    moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, commanded[label] - samples.commanded))
+    commanded, effective = (np.stack([np.bincount(label, weights=column) for column in values.T], axis=1) / size[:, None]
+                            for values in (samples.commanded, samples.effective))
+    moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
     apart = difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
     unseen = np.isinf(samples.covariance)  # rotations that nothing measured
     weight = np.linalg.inv(np.where(unseen, 1.0, samples.covariance))
@@ -57,4 +58,5 @@ def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Sampl
     np.add.at(common, label, weight @ samples.common)
     covariance = np.linalg.inv(total)
     poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
-    return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common)
+    return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common,
+                   effective - commanded)

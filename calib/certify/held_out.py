@@ -80,7 +80,7 @@ def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.nd
     """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
     rotation was not measured."""
     nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.commanded), samples.T_base_platform)
+    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.effective), samples.T_base_platform)
     for one in errors:
         one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
     return errors

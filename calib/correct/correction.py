@@ -130,7 +130,7 @@ def calibrate(samples: Samples, nominal: Hexapod, remainder: str | tuple[Radial 
         return Correction(nominal, found.hexapod, parts), found
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like)
-        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.commanded), prior)
+        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), prior)
         if remainder == "find":
             if not any(parts):
                 break
@@ -142,8 +142,8 @@ def _remainder(samples: Samples, found: Identified, nominal: Hexapod, before: tu
                like: tuple[Radial | None, ...]) -> tuple[Radial | None, ...]:
     """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or None."""
     good = found.inliers
-    left = found.residuals + Correction(nominal, nominal, before).rho(samples.commanded)
+    left = found.residuals + Correction(nominal, nominal, before).rho(samples.effective)
     variances = np.einsum("nii->ni", found.residual_covariance)
     given = any(like)
-    return tuple(radial.fit(samples.commanded[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
+    return tuple(radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
                  if (like[i] is not None if given else found.scatter[i]) else None for i in range(6))

@@ -70,7 +70,7 @@ def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = Non
     prior : (42,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
-    lengths = samples.commanded - (0 if offset is None else offset)
+    lengths = samples.effective - (0 if offset is None else offset)
     prior = np.full(42, PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
     inliers, scatter, p = np.ones(len(samples), bool), np.zeros(6), parameters(nominal)

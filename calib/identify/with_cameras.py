@@ -102,7 +102,7 @@ def commanded_state(measured: Measurement, samples: Samples) -> tuple[Observatio
     keep = np.isin(used.frames, samples.frame)
     rows = keep[used.frame]
     kept = replace(used.take(rows), frames=used.frames[keep], frame=(np.cumsum(keep) - 1)[used.frame[rows]])
-    commanded = samples.commanded[np.searchsorted(samples.frame, kept.frames)]
+    commanded = samples.effective[np.searchsorted(samples.frame, kept.frames)]
     return kept, commanded, State(measured.adjustment.state.cameras, measured.T_base_platform[np.flatnonzero(keep)], {})
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from calib.certify.certificate import Certified
     from calib.certify.claim import Claim
+    from calib.correct.physics import Physics
+    from calib.diagnose.taken import Findings, Taken
     from calib.pipeline import Sampled
     from calib.store import Calibration
     from rig.recording import Recording
@@ -28,6 +30,10 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
+                      "geometry; rig correct undoes it")
+    kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     parser.add_argument("--extend", choices=WAYS, metavar="WAY", help="extend the corrections at the recorded configurations over all of them: "
                         f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or auto, by held-out error")
@@ -48,6 +54,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.pipeline import sample_recording
 
+    findings = _findings(arguments, recording)
     sampled = sample_recording(recording, progress=progress, look=look)
     rng = np.random.default_rng(SEED)
     if arguments.alone and not arguments.extend:
@@ -62,18 +69,43 @@ def run(arguments: Namespace) -> None:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
         _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
-        _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint)
+        taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
+        _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
+def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
+    """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
+    asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
+    if asked and recording.design.mechanism.kind == "arm":
+        raise RigError(f"{asked} is for hexapods; an arm's joints are corrected over its configuration space")
+    if asked and arguments.joint:
+        raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
+    if asked and arguments.extend:
+        raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
+    if arguments.diagnosis is None:
+        return None
+    from calib.diagnose.taken import of_folder
+
+    return of_folder(arguments.diagnosis, recording)
+
+
+def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, progress: Progress) -> Taken:
+    """Taken of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.platform.diagnose import diagnose
+    from calib.diagnose.taken import of_diagnosis, take
+
+    return take(recording, sampled, of_diagnosis(diagnose(recording, progress=progress, sampled=sampled)) if findings is None else findings, progress)
+
+
 def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
-             joint: bool) -> None:
+             joint: bool, taken: Taken | None) -> None:
     from calib.certify.certificate import certify, promised
     from calib.certify.verdict import verdict
     from calib.report import calibration_page
 
-    samples = sampled.samples
+    samples = sampled.samples if taken is None else taken.samples
     done = certify(samples, recording.design.mechanism, rng, progress)
     if joint:
         from calib.correct.refined import refine
@@ -81,7 +113,7 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
         progress("solving cameras and geometry together", 0, 1)
         done = replace(done, **dict(zip(("correction", "found"), refine(sampled, recording.design, done.correction, done.found))))
     claim = promised(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done, claim)
+    calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
     if out[1]:
         progress("drawing the page", 0, 1)
         calibration_page(out[1], recording, calibration, samples, done.found)
@@ -92,6 +124,7 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
     print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
+    _print_physics(calibration.physics)
     _print_poses(sampled, done)
 
 
@@ -128,6 +161,19 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     _print_poses(sampled, done)
 
 
+def _print_physics(physics: Physics | None) -> None:
+    if physics is None:
+        return
+    again, known = physics.undone(), [f"{e.label()} at {e.place}" for e in physics.undone()]
+    print("physics that is undone by commands: " + (", ".join(known) or "none"))
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
+    if left:
+        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
+    for u in physics.unknown:
+        print(f"unknown at {u.place}: " + ("corrected as a smooth function of the configuration" if u.corrected else "not corrected, as no smooth "
+                                           "function of the configuration explains it"))
+
+
 def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress) -> None:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
@@ -158,13 +204,15 @@ def _print_poses(sampled: Sampled, done: Certified) -> None:
           "them agree with one geometry")
 
 
-def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified, claim: Claim) -> Calibration:
+def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified, claim: Claim,
+            known: tuple[Physics, np.ndarray] | None = None) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration
 
     frames, found = sampled.samples.frame, done.found
+    physics, covariance = (None, found.covariance) if known is None else known
     calibration = Calibration(
-        done.correction, found.covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, store.provenance(recording, argv, SEED, sampled.source == "images"), claim)
+        done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
+        done.held_out, store.provenance(recording, argv, SEED, sampled.source == "images"), claim, physics)
     store.save(out, calibration)
     return calibration

@@ -41,6 +41,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Diagnose a recording and write what was found."""
+    from rig import provenance
     from rig.effects.parse import asked
 
     progress = Progress()
@@ -56,6 +57,7 @@ def run(arguments: Namespace) -> None:
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
     diagnosed = _arm if recording.design.mechanism.kind == "arm" else _platform
     _print(diagnosed(recording, arguments, (calibration, _given(arguments, recording)), out, progress))
+    arguments.outputs.data = provenance.lines(provenance.marks(recording))
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 

@@ -69,6 +69,11 @@ def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], flo
         return design.mechanism, [], design.actuator.screw_lead
     from calib import store
 
-    correction = store.load(path).correction
+    calibration = store.load(path)
+    correction = calibration.correction
+    if calibration.physics is not None and calibration.physics.undone():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
+        print(f"rig export: the calibration undoes {names} beside the geometry, which no export holds; use `rig correct` where it matters",
+              file=sys.stderr)
     every = correction.extension is not None
     return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None or every], None

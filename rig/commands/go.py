@@ -12,8 +12,10 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     from argparse import Namespace
 
+    import numpy as np
     from scipy.spatial.transform import RigidTransform
 
+    from calib.store import Calibration
     from rig.design import Hexapod
 
 
@@ -35,16 +37,19 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from calib import store
+    from rig import mechanisms
     from calib.correct.correction import reachable
     from rig.commands.driving import design_of, driving, lengths_text, print_status
 
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     design = design_of(arguments.rig, arguments.port)
-    correction = store.load(arguments.calibration).correction
+    calibration = store.load(arguments.calibration)
+    correction = calibration.correction
     _same(correction.nominal, design.mechanism, arguments)
     wanted = pose_of(arguments.pose)
-    lengths = correction.uncorrected(wanted) if arguments.uncorrected else correction.inverse(wanted)
+    home = mechanisms.of(correction.nominal).home(correction.nominal)
+    lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
     reachable(np.array([lengths]), design.mechanism, ["the pose"])
     print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
     if arguments.dry_run:
@@ -52,13 +57,26 @@ def run(arguments: Namespace) -> None:
     with driving(design, arguments.trace, print) as driver:
         if arguments.trust:
             driver.trust()
+        if calibration.physics is not None and not arguments.uncorrected:  # from where it stands, not from home
+            lengths = _lengths(calibration, wanted, driver.status().lengths)
+            reachable(np.array([lengths]), design.mechanism, ["the pose"])
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)
-    left = wanted.inv() * correction.predict(status.lengths)
+    left = wanted.inv() * correction.predict(correction.inverse(wanted) + status.lengths - lengths)
     if not arguments.uncorrected:
         print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
               f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
+
+
+def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray) -> np.ndarray:
+    """(axes,) m or rad that give a wanted pose (), the axes coming from start (axes,); what nobody logs is taken as when calibrated."""
+    import numpy as np
+    from scipy.spatial.transform import RigidTransform
+
+    from calib.certify.commanded import command
+
+    return command(calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)).values[0]
 
 
 def pose_of(text: str) -> RigidTransform:

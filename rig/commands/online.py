@@ -116,6 +116,7 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
     found = store.load(path)
     if found.correction.fitted.kind != mechanism.kind:
         raise RigError(f"{path} is a calibration of a mechanism of kind {found.correction.fitted.kind!r}, the recording's is {mechanism.kind!r}")
+    found.refuse_physics("learning on-line")
     return found
 
 

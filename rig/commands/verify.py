@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,7 @@ def run(arguments: Namespace) -> None:
     from calib.pipeline import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
-    samples = sampled.samples
+    samples = _with_physics(calibration, recording, sampled.samples)
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
     held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED), label)
     progress.close()
@@ -72,6 +73,14 @@ def run(arguments: Namespace) -> None:
     print_unsolved(sampled.measurement)
 
 
+def _with_physics(calibration: Calibration, recording: Recording, samples: Samples) -> Samples:
+    """The samples with what a calibration's physics says of their commands, under the recording's own sensors and history."""
+    physics, commands = calibration.physics, recording.commands
+    if physics is None or commands is None:
+        return samples
+    return replace(samples, known=physics.known(calibration.correction.fitted, commands, samples.t, samples.T_base_platform, recording.sensors))
+
+
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> tuple[Figures, tuple[float, float]]:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
     from calib.arms import certify
@@ -85,6 +94,8 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
     arm = calibration.correction.nominal.kind == "arm"
     of_model = certify.model_covariance(calibration, samples.commanded) if arm else model_covariance(calibration, T)
+    if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
+        of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model
     return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
 

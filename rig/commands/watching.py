@@ -27,6 +27,8 @@ def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], 
                halt: Callable[[], None]) -> Looking:
     """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
     calibration = store.load(arguments.calibration) if arguments.calibration else None
+    if calibration is not None:
+        calibration.refuse_physics("watching a run")
     if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
         raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is "
                        f"{design.mechanism.kind!r}")

@@ -23,6 +23,9 @@ class Backlash(Effect):
     experiment: ClassVar = "a ladder of reversal amplitudes: every position approached from both sides"
     action: ClassVar = "Preload or exchange nut, gear and bearings of the {axis}; until then approach every pose from the same side."
 
+    def forgets(self) -> float:
+        return self.gap
+
     def deviation(self, motion: Motion) -> np.ndarray:
         return self.axes(motion.places) * behind(motion, self.gap / 2)
 

@@ -45,6 +45,8 @@ class Effect:
     form : what the model is a function of, where that is simple: the axis' own travel ("slope", "sinusoid" or "profile"), its "load", or
     a moment ("step")
     own_axis : depends on the axis' own position alone, 1 for the simplest such model; once : a second at a place would be the first
+    lasting : the machine does it again the next time, as found, so that commands can undo it; what happened at one moment, or swings with a
+    phase of its own, it does not
     view : how residuals in the image show it: "displacement", "map", "time", "scale", "outward", "markers" or "targets"
     """
 
@@ -64,6 +66,7 @@ class Effect:
     form: ClassVar[str | None] = None
     own_axis: ClassVar[int] = 0
     once: ClassVar[bool] = False
+    lasting: ClassVar[bool] = True
     view: ClassVar[str] = "displacement"
 
     if TYPE_CHECKING:  # every effect is a dataclass of its place and parameters
@@ -83,6 +86,10 @@ class Effect:
     def follow(self, path: Path, places: tuple[str, ...]) -> Path:
         """Path that the axes (their places) follow when told to follow a path."""
         return path
+
+    def forgets(self) -> float:
+        """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what remembers no way."""
+        return 0.0
 
     def deviation(self, motion: Motion) -> np.ndarray:
         """(n, axes) m or rad that the axes stand beyond their command, by this effect."""

@@ -18,6 +18,7 @@ class ClockDrift(Effect):
     name: ClassVar = "clock_drift"
     stage: ClassVar = "command"
     places: ClassVar = ("clock",)
+    lasting: ClassVar = False
     parameters: ClassVar = (Parameter("rate", "", (-1e-2, 1e-2), (1e-6, 1e-4), signed=True),)
     moving: ClassVar = True
     experiment: ClassVar = "expose while moving early and late in a long recording"

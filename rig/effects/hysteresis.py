@@ -27,6 +27,9 @@ class Hysteresis(Effect):
     experiment: ClassVar = "reversals of growing amplitude: a backlash saturates at its gap, nested loops keep widening"
     action: ClassVar = "Look for friction with elastic wind-up in the {axis}'s drive train; until then approach every pose from the same side."
 
+    def forgets(self) -> float:
+        return 2 * self.range if self.weight else 0.0
+
     def deviation(self, motion: Motion) -> np.ndarray:
         halves = self.range * (np.arange(PLAYS) + 0.5) / PLAYS
         lag = motion.once(("loops", self.range), lambda: np.mean([behind(motion, half) for half in halves], axis=0))

@@ -19,6 +19,7 @@ class MissedSteps(Effect):
     name: ClassVar = "missed_steps"
     stage: ClassVar = "struts"
     places: ClassVar = ("axis",)
+    lasting: ClassVar = False
     parameters: ClassVar = (Parameter("jump", "m", (-5e-3, 5e-3), (5e-6, 1.2e-4), signed=True, joint=((-0.2, 0.2), (2e-5, 2e-3))),
                             Parameter("time", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
     sudden: ClassVar = True

@@ -19,6 +19,7 @@ class TimeOffset(Effect):
     name: ClassVar = "time_offset"
     stage: ClassVar = "command"
     places: ClassVar = ("clock",)
+    lasting: ClassVar = False
     parameters: ClassVar = (Parameter("offset", "s", (-5, 5), (1e-3, 6e-2), signed=True),
                             Parameter("since", "s", (-np.inf, np.inf), (0, 1e5), role="moment"))
     moving: ClassVar = True

@@ -21,6 +21,7 @@ from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSe
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
 from calib.certify.calibration import Calibration
+from calib.pipeline import Sampled
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
@@ -77,17 +78,19 @@ class PlatformDiagnosis:
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             calibration: Calibration | None = None, given: Given = UNSAID) -> PlatformDiagnosis:
+             calibration: Calibration | None = None, given: Given = UNSAID, sampled: Sampled | None = None) -> PlatformDiagnosis:
     """PlatformDiagnosis of a Recording.
 
     only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
     progress : called with (label, done, of), or None
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since; given : what is in from the start
+    sampled : Sampled of the recording where it was measured before, or None
     Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what measuring raises
     """
     asked = Asked.of(only, without, given)
-    point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated")
+    point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated",
+                                           sampled)
     moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
     swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
     point = within_reach(exchanged(point, swapped))

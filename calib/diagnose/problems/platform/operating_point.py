@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.engine.problem import Progress
-from calib.diagnose.problems.platform.geometry import Platform, pose_jacobian
+from calib.diagnose.problems.platform.geometry import Platform
 from calib.diagnose.problems.temperature_smoothing import smoothed
-from calib.pipeline import sample_recording
+from calib.pipeline import Sampled, sample_recording
 from calib.certify.calibration import Calibration
 from rig import machine, mechanisms
 from rig.design import Camera, Design, Hexapod, Planar2
@@ -117,14 +117,11 @@ class OperatingPoint:
     def effective(self, effects: tuple[Effect, ...] | None = None) -> np.ndarray:
         """(F, axes) m that commands become under effects (those admitted, by default), sway counted as struts' length."""
         effects = self.effects if effects is None else effects
-        motion = self.motion(effects)
-        out = motion.lengths + sum((e.deviation(motion) for e in effects), np.zeros(motion.lengths.shape))
-        sway = sum((e.sway(motion) for e in effects), np.zeros((len(self.t), 6)))
-        return out + self.swayed(sway) if sway.any() else out
+        return machine.effective(self.design, self.commanded, self.t, self.T, effects, self.sensors)
 
     def swayed(self, sway: np.ndarray) -> np.ndarray:
         """(F, axes) m by which struts seem longer where the platform is displaced by tangents (F, 6)."""
-        return np.einsum("fij,fj->fi", pose_jacobian(self.T, self.platform), sway)
+        return machine.swayed(self.design, self.T, sway)
 
     def closures(self) -> np.ndarray:
         """(F, axes) m by which measured poses ask for longer struts than commands and effects give them."""
@@ -156,11 +153,12 @@ class OperatingPoint:
 
 
 def of_recording(recording: Recording, progress: Progress | None = None, calibration: Calibration | None = None,
-                 places: str = "auto") -> tuple[OperatingPoint, str, Measurement | None]:
+                 places: str = "auto", sampled: Sampled | None = None) -> tuple[OperatingPoint, str, Measurement | None]:
     """(OperatingPoint, source in words, Measurement or None) of a recording with nothing admitted: calibrated, and all corners back in.
 
     calibration : of another recording of the same hexapod, whose joints are then known beforehand, or None
     places : whether a free body's markers are taken as adjusted, see vision.recorded; where something was commanded they are as stated
+    sampled : Sampled of this commanded recording where it was measured before, or None
     Raises NotEnoughData where nothing was measured, RigError for a mechanism that is no platform, and what measuring raises
     """
     design, (sensors, log_errors) = recording.design, smoothed(recording.sensors)
@@ -174,7 +172,7 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
         measured, collected = measure_recording(recording, progress=progress, places=places if kind == "free" else "stated")
         source = "images" if collected is not None else "corners.csv"
     else:
-        sampled = sample_recording(recording, progress=progress)
+        sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
         measured, source = sampled.measurement, sampled.source
         if measured is None:
             s = sampled.samples

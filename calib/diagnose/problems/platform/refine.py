@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, null_space
 
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
-from calib.diagnose.problems.platform.coordinates import Coordinate, kept_sums, loose, priors_cost, tangents
+from calib.diagnose.problems.platform.coordinates import tangents
 from calib.diagnose.problems.platform.corners import edges_of, standing
 from calib.diagnose.problems.platform.geometry import count, moved_by
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
@@ -19,6 +19,7 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint, mov
 from calib.diagnose.problems.platform.search import column_of
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from rig.effects.base import Effect, check
+from rig.effects.coordinate import Coordinate, kept_sums, loose, priors_cost
 from rig.pose import exp
 
 MAX_ITERATIONS = 8

@@ -1,0 +1,79 @@
+"""Physics that was found to be left out of a geometry, kept with it so that commands can undo it: effects, how sure they are, what they look at."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig import machine
+from rig.design import Actuator, Arm, Design, Hexapod, Platform
+from rig.effects.base import MOTION_STAGES, Effect
+from rig.effects.coordinate import Coordinate, coordinates_of
+from rig.recording import Commands, Sensors
+
+ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """What nothing in the catalogue explains. place; magnitude, in unit; depends_on : covariates; corrected : whether a smooth function over
+    the configuration space takes it out."""
+
+    place: str
+    magnitude: float
+    unit: str
+    depends_on: tuple[str, ...]
+    corrected: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Physics:
+    """effects : Effects found; own : (c, c) covariance of their coordinates (rig.effects.coordinate), in order; cross : (p, c) of the
+    geometry's p parameters with these; gravity, actuator, platform : of the machine as its owner states them, which effects look at
+    channels : {sensor channel: (median, standard deviation)} while all this was learnt; unknown : what has no name."""
+
+    effects: tuple[Effect, ...]
+    own: np.ndarray
+    cross: np.ndarray
+    gravity: np.ndarray
+    actuator: Actuator
+    platform: Platform
+    channels: dict[str, tuple[float, float]]
+    unknown: tuple[Unknown, ...] = ()
+
+    @property
+    def coordinates(self) -> list[Coordinate]:
+        """[Coordinate] of the effects' parameters, in the order of the covariance."""
+        return coordinates_of(self.effects)
+
+    def machine(self, mechanism: Hexapod | Arm) -> Design:
+        """Design of a mechanism with what effects look at besides; it has no cameras."""
+        return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
+
+    def sensed(self, sensors: Sensors | None, t: np.ndarray) -> tuple[Sensors, tuple[str, ...]]:
+        """(Sensors with every channel that physics was learnt with, names of those that were missing and now stand at their median).
+
+        t : (n,) s, the times at which they are asked for
+        """
+        there = Sensors(np.array([t[0], t[-1] + 1.0]), {}) if sensors is None else sensors
+        missing = tuple(name for name in self.channels if name not in there.channels)
+        filled = {name: np.full(len(there.t), self.channels[name][0]) for name in missing}
+        return Sensors(there.t, {**there.channels, **filled}), missing
+
+    def spread(self, channel: str) -> float:
+        """Standard deviation of a channel that nobody logs, as it was while this was learnt, and from day to day."""
+        own = self.channels[channel][1]
+        return float(np.hypot(own, ANOTHER_DAY)) if channel.endswith("temperature_C") else own
+
+    def undone(self) -> tuple[Effect, ...]:
+        """The effects of the machine's motion that it shows again, so that commands undo them."""
+        return tuple(e for e in self.effects if e.lasting and e.stage in MOTION_STAGES)
+
+    def scattering(self) -> tuple[Effect, ...]:
+        """Those that it shows again, at no moment that anybody knows: what happened once is over."""
+        return tuple(e for e in self.effects if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters))
+
+    def known(self, mechanism: Hexapod | Arm, commands: Commands, t: np.ndarray, T: RigidTransform, sensors: Sensors | None) -> np.ndarray:
+        """(n, axes) m by which axes stand beyond commands at times t (n,) s and poses T (n,), as far as this physics says."""
+        there, _ = self.sensed(sensors, t)
+        return machine.effective(self.machine(mechanism), commands, t, T, self.undone(), there) - commands.at(t)
