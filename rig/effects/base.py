@@ -5,7 +5,6 @@ struts or joints, do beyond that), `structure` (what the frame and platform do),
 camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import fields
 from itertools import product
@@ -21,11 +20,8 @@ from rig.effects.drawing import Drawing, value
 from rig.effects.grid import grid, step
 from rig.effects.motion import SOON, Motion, Path
 from rig.effects.parameter import Parameter
-from rig.entries import NAME
 from rig.errors import RigError
-from rig.outside import shown
 
-MOST = 1000  # numbers of a parameter of any length
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
 AXES = ("strut", "joint")  # what "axis" stands for among an effect's places
 MOTION_STAGES = ("command", "struts", "structure")
@@ -297,27 +293,5 @@ class Effect:
         return np.array([float(self.at(place)) for place in places])
 
 
-def check(effect: Effect) -> Effect:
-    """The effect itself. Raises ValueError for a place it cannot sit at or a parameter out of bounds."""
-    kind = effect.place.split(" ")[0]
-    if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
-        raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
-    number = "[1-9][0-9]{0,8}"
-    name = {"strut": number, "joint": number, "marker": f"0|{number}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
-    if name is not None and not re.fullmatch(f"{kind} (?:{name})", effect.place) or name is None and kind != effect.place:
-        raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
-    for parameter in effect.parameters_at(effect.place):
-        value = np.atleast_1d(np.asarray(getattr(effect, parameter.name), float))
-        if value.ndim != 1 or (parameter.size and len(value) != parameter.size) or len(value) > MOST:
-            raise ValueError(f"{effect.name}: {parameter.name} has {parameter.size or f'at most {MOST}'} numbers, got {value.size}")
-        low, high = parameter.bounds
-        if not ((value >= low).all() and (value <= high).all()):  # false for what is not a number, too
-            raise ValueError(f"{effect.name}: {parameter.name} must lie in {low:g} .. {high:g} {parameter.unit}, got {shown(value.tolist())}")
-    problem = effect.problem()
-    if problem:
-        raise ValueError(f"{effect.name}: {problem}")
-    return effect
-
-
 __all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",
-           "Motion", "Parameter", "Path", "check"]
+           "Motion", "Parameter", "Path"]

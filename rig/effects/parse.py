@@ -7,7 +7,8 @@ import numpy as np
 from rig import mechanisms
 from rig.design import Design
 from rig.effects import BY_NAME
-from rig.effects.base import AXES, Effect, check
+from rig.effects.base import AXES, Effect
+from rig.effects.check import check
 from rig.entries import NAME, slip
 from rig.errors import RigError
 from rig.outside import shown

@@ -7,7 +7,7 @@ import pytest
 
 from rig import machine
 from rig.effects import ALL, BY_NAME
-from rig.effects.base import check
+from rig.effects.check import check
 from rig.effects.parse import from_dict, parse, to_dict
 from rig.errors import RigError
 from rig.pose import difference

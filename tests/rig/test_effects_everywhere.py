@@ -8,7 +8,8 @@ import pytest
 from rig import machine, mechanisms
 from rig.design import Actuator, Arm, Design, Planar2, Platform
 from rig.effects import ALL
-from rig.effects.base import MOTION_STAGES, Context, check
+from rig.effects.base import MOTION_STAGES, Context
+from rig.effects.check import check
 from rig.effects.catalogue import page
 from rig.effects.drawing import Drawing
 from rig.effects.motion import Path

@@ -12,7 +12,7 @@ from calib.diagnose import tolerances
 from rig import cli, machine, plan, recording
 from rig.commands import blind as command, workers
 from rig.effects import ALL, BY_NAME
-from rig.effects.base import check
+from rig.effects.check import check
 from rig.effects.parse import parse
 from rig.errors import FileError, RigError
 from synthetic import blind, outlaws, score, simulation, world

@@ -18,7 +18,8 @@ from calib.diagnose.problems.platform.linearised import LinearisedModel, lineari
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
 from calib.diagnose.problems.platform.search import column_of
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
-from rig.effects.base import Effect, check
+from rig.effects.base import Effect
+from rig.effects.check import check
 from rig.effects.coordinate import Coordinate, kept_sums, loose, priors_cost
 from rig.pose import exp
 
