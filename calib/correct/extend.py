@@ -36,7 +36,7 @@ def summands(samples: Samples, model: Hexapod) -> Known:
 
 
 def geometry_of(samples: Samples, nominal: Hexapod, alone: bool, prior: np.ndarray | None = None) -> Identified:
-    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : as `identify`, or as poses have it."""
+    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (42,) m, or None: as poses have it."""
     if not alone:
         if prior is None:
             prior = tolerance(identify(samples, nominal), nominal).prior
