@@ -18,6 +18,7 @@ from calib.identify.tolerance import tolerance
 from calib.correct.interpolate import radial
 from calib.correct.interpolate.field import Field
 from calib.correct.interpolate.radial import Radial
+from calib.correct.interpolate.simplex import Simplex
 from calib.samples import Samples
 from rig import mechanisms
 from rig.design import Arm, Hexapod
@@ -85,15 +86,24 @@ class Correction(Generic[M, R]):
         Raises NotConverged with index, commands and residual (m) where the fixed point is not found
         """
         goal = mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        if isinstance(self.extension, Simplex) and not any(self.remainder):
+            commands, change = self.extension.fixed_points(goal.reshape(-1, goal.shape[-1]), TOLERANCE)
+            return self._found(commands, change).reshape(goal.shape)
         commands = goal.copy()
         for _ in range(ITERATIONS):
             new = goal + self.rho(commands)
             change, commands = np.abs(new - commands).max(axis=-1), new
             if change.max(initial=0) < TOLERANCE:
-                return commands
-        failed = np.flatnonzero(np.ravel(change) >= TOLERANCE)
-        raise NotConverged(f"the corrected command of {len(failed)} poses was not found", failed,
-                           commands.reshape(-1, commands.shape[-1])[failed], np.ravel(change)[failed])
+                break
+        return self._found(commands, change)
+
+    def _found(self, commands: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """The commands (..., axes) of a fixed point; raises NotConverged where its last step still changed them (...)."""
+        failed = np.flatnonzero(~(np.ravel(change) < TOLERANCE))
+        if len(failed):
+            raise NotConverged(f"the corrected command of {len(failed)} poses was not found", failed,
+                               commands.reshape(-1, commands.shape[-1])[failed], np.ravel(change)[failed])
+        return commands
 
 
 def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[str]) -> None:

@@ -1,10 +1,14 @@
 """Gough-Stewart platform: strut lengths of a pose, the pose of strut lengths, and the Jacobian between them."""
 
+from functools import lru_cache
+
 import numpy as np
+from scipy.linalg import lu
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.design import Hexapod
 from rig.errors import NotConverged
+from rig.mechanisms import lanes
 from rig.pose import transform_points
 
 AXIS, UNIT, LOAD = "strut", "m", "N"
@@ -21,9 +25,10 @@ def inverse(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
     Returns (..., 6) m; whether they are within the strut range is for `limits` to say
     Source: Merlet, Parallel Robots, 2nd ed., ch. 3
     """
-    matrix = T_base_platform.as_matrix()
-    struts = hexapod.platform_joints @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3] - hexapod.base_joints
-    return np.linalg.norm(struts, axis=-1) - hexapod.strut_zeros
+    matrix = np.ascontiguousarray(T_base_platform.as_matrix())
+    flat, out = matrix.reshape(-1, 4, 4), np.empty((matrix.size // 16, 6))
+    lanes.in_parallel(lambda part: lanes.lengths(flat[part], hexapod.base_joints, hexapod.platform_joints, hexapod.strut_zeros, out[part]), len(flat))
+    return out.reshape(*matrix.shape[:-2], 6)
 
 
 def jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
@@ -52,14 +57,21 @@ def forward(lengths: np.ndarray, hexapod: Hexapod, guess: RigidTransform | None 
         raise ValueError(f"expected finite lengths (..., 6) m, got shape {lengths.shape}")
     guess = hexapod.home if guess is None else guess
     flat = lengths.reshape(-1, 6) + hexapod.strut_zeros
-    start = np.broadcast_to(guess.as_matrix(), (*lengths.shape[:-1], 4, 4)).reshape(-1, 4, 4)
-    matrix, residual = start.copy(), np.empty(len(flat))
-    for at in range(0, len(flat), CHUNK):
-        part = slice(at, at + CHUNK)
-        residual[part] = _newton(matrix[part], flat[part], hexapod)
-    matrix, start = matrix.reshape(*lengths.shape[:-1], 4, 4), start.reshape(*lengths.shape[:-1], 4, 4)
-    _check(matrix, start, residual, lengths, hexapod)
-    return RigidTransform.from_matrix(matrix)
+    matrix, residual, crossed = np.empty((len(flat), 4, 4)), np.empty(len(flat)), np.empty(len(flat), bool)
+    start = guess.as_matrix()
+    if start.ndim > 2:
+        start = np.broadcast_to(start, (*lengths.shape[:-1], 4, 4)).reshape(-1, 4, 4)
+    _side_by_side(flat, start.reshape(-1, 4, 4), hexapod, (matrix, residual, crossed))
+    again = np.flatnonzero(~(residual <= TOLERANCE) | crossed)
+    if len(again):  # with pivots, and a word on what has no solution
+        began = start if start.ndim > 2 else np.broadcast_to(start, (len(flat), 4, 4))
+        for at in range(0, len(again), CHUNK):
+            part = again[at : at + CHUNK]
+            moved = began[part].copy()
+            residual[part] = _newton(moved, flat[part], hexapod)
+            matrix[part] = moved
+        _check(matrix, began, residual, lengths, hexapod, again)
+    return RigidTransform(matrix.reshape(*lengths.shape[:-1], 4, 4), normalize=False, copy=False)  # of unit quaternions, normal as it is
 
 
 def limits(lengths: np.ndarray, hexapod: Hexapod) -> np.ndarray:
@@ -99,6 +111,26 @@ def grown(T: RigidTransform, lengths: np.ndarray, hexapod: Hexapod, share: np.nd
 def ends(T: RigidTransform, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
     """(base joints (6, 3), platform joints (n, 6, 3)) m in the base frame at poses T (n,)."""
     return hexapod.base_joints, transform_points(T, hexapod.platform_joints)
+
+
+def _side_by_side(lengths: np.ndarray, start: np.ndarray, hexapod: Hexapod, out: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Fill out, the matrix (n, 4, 4), residual (n,) m and crossed (n,) of lengths (n, 6) m, from start (n or 1, 4, 4)."""
+    q = Rotation.from_matrix(start[:, :3, :3]).as_quat(scalar_first=True)
+    t = np.ascontiguousarray(start[:, :3, 3])
+    struts = lanes.Struts(hexapod.base_joints, hexapod.platform_joints, _order(hexapod), 0.3 * float(np.linalg.norm(hexapod.home.translation)),
+                          MAX_TURN)
+
+    def solve(part: slice) -> None:
+        begin = (q, t) if len(q) == 1 else (q[part], t[part])
+        lanes.poses(lengths[part], struts, begin, TOLERANCE, *(one[part] for one in out))
+
+    lanes.in_parallel(solve, len(lengths))
+
+
+@lru_cache(64)
+def _order(hexapod: Hexapod) -> np.ndarray:
+    """(6,) struts in the order in which elimination with pivots takes the Jacobian's rows at home."""
+    return np.argmax(lu(jacobian(hexapod.home, hexapod))[0], axis=0)
 
 
 def _rows(R: np.ndarray, t: np.ndarray, hexapod: Hexapod) -> tuple[np.ndarray, np.ndarray]:
@@ -147,16 +179,16 @@ def _rotation(rotvec: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(rotvec).as_matrix()
 
 
-def _check(matrix: np.ndarray, start: np.ndarray, residual: np.ndarray, lengths: np.ndarray, hexapod: Hexapod) -> None:
+def _check(matrix: np.ndarray, start: np.ndarray, residual: np.ndarray, lengths: np.ndarray, hexapod: Hexapod, doubtful: np.ndarray) -> None:
+    """Raise NotConverged for poses (n, 4, 4) without a solution, or of those doubtful (k,), solved beyond a singularity."""
     failed = np.flatnonzero(residual > 10 * TOLERANCE)
     if len(failed):
         worst = failed[np.argmax(residual[failed])]
         raise NotConverged(f"{len(failed)} of {len(residual)} poses have no solution near the guess; worst leaves {residual[worst]:.3g} m "
                            f"at lengths {lengths.reshape(-1, 6)[worst].round(6).tolist()} m", failed, lengths.reshape(-1, 6)[failed],
                            residual[failed])
-    side = np.linalg.det(_rows(matrix[..., :3, :3], matrix[..., :3, 3], hexapod)[1])
-    before = np.linalg.det(_rows(start[..., :3, :3], start[..., :3, 3], hexapod)[1])
-    crossed = np.flatnonzero((np.sign(side) != np.sign(before)).ravel())
+    side, before = (np.linalg.det(_rows(part[:, :3, :3], part[:, :3, 3], hexapod)[1]) for part in (matrix[doubtful], start[doubtful]))
+    crossed = doubtful[np.sign(side) != np.sign(before)]
     if len(crossed):
         raise NotConverged(f"{len(crossed)} of {len(residual)} poses were found only beyond a singularity, in another assembly; first at "
                            f"lengths {lengths.reshape(-1, 6)[crossed[0]].round(6).tolist()} m", crossed,

@@ -2,10 +2,10 @@
 
 import sys
 
-from tests.bench import absent, arms, corners, diagnosis, driving, forward, growing, lens, parameters, reach, way
+from tests.bench import absent, arms, correction, corners, diagnosis, driving, forward, growing, lens, parameters, reach, way
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
-       "diagnosis": diagnosis, "growing": growing, "driving": driving}
+       "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "reach": reach}  # every candidate is compiled anew, which takes minutes: only where it is named
 
 

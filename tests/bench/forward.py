@@ -12,15 +12,20 @@ from rig.mechanisms import hexapod
 from rig.pose import exp
 
 
-def rows():
-    """Yield (figure, reached, wanted)."""
+def mechanism_of_bench():
+    """The Hexapod of `rig design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
         path.write_text(layout.layout(0.3))
-        mechanism = design_file.load(path).mechanism
+        return design_file.load(path).mechanism
+
+
+def rows():
+    """Yield (figure, reached, wanted)."""
+    mechanism = mechanism_of_bench()
     low, high = mechanism.strut_range.T
     lengths = low + (high - low) * np.random.default_rng(0).random((100_000, 6))
-    times = []
+    T, times = hexapod.forward(lengths, mechanism), []  # compiled on the first call
     for _ in range(5):
         start = time.perf_counter()
         T = hexapod.forward(lengths, mechanism)
@@ -30,6 +35,6 @@ def rows():
     for target in lengths[:20]:
         least_squares(lambda xi, target=target: hexapod.inverse(mechanism.home * exp(xi), mechanism) - target, np.zeros(6), xtol=1e-15, ftol=1e-15)
     other = (time.perf_counter() - start) / 20
-    yield "forward kinematics, batch of 100 000, median of 5", f"{1e5 / np.median(times):.0f} poses/s", ">= 50 000"
+    yield "forward kinematics, batch of 100 000, median of 5", f"{1e5 / np.median(times):.0f} poses/s", ">= 500 000 on one core"
     yield "inverse of forward", f"{error:.1e} m", "<= 1e-10"
     yield "ratio to scipy's least_squares, pose by pose", f"{other / np.median(times) * 1e5:.0f} x", ""

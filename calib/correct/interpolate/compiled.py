@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
+STEPS = 100  # of a fixed point
+
 if TYPE_CHECKING:
     from calib.correct.interpolate.grid import Grid
 
@@ -31,40 +33,69 @@ def tables(grid: "Grid") -> Tables:
     return Tables(levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values))
 
 
+class SimplexKernels(NamedTuple):
+    """values : (x (n, axes), *Tables, out (n, outputs)), out filled; fixed_points : (goal (n, axes), *Tables, tolerance, commands (n, axes),
+    change (n,)), commands = goal + value(commands) filled, and what its last step changed."""
+
+    values: Callable[..., None]
+    fixed_points: Callable[..., None]
+
+
 @cache
-def simplex_kernel(axes: int) -> Callable[..., None]:
-    """The kernel for so many axes: (x (n, axes), *Tables, out (n, outputs)), out filled. Compiled for each number, so that its loops unroll."""
+def simplex_kernels(axes: int) -> SimplexKernels:
+    """The kernels for so many axes. Compiled for each number, so that loops over axes unroll."""
 
     @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+    def at(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
+           scratch: tuple[np.ndarray, np.ndarray, np.ndarray], out: np.ndarray) -> None:
+        t, ranked, steps = scratch
+        vertex = 0
+        for i in range(axes):
+            inner = min(max(x[i], levels[i, 0]), levels[i, cells[i]])
+            cell = 0
+            for j in range(1, cells[i]):
+                cell += inner >= levels[i, j]
+            t[i] = (inner - levels[i, cell]) * inverse[i, cell]
+            vertex += cell * strides[i]
+        for i in range(axes):  # how many are larger; of equal ones the first is
+            rank = 0
+            for j in range(i):
+                rank += t[j] >= t[i]
+            for j in range(i + 1, axes):
+                rank += t[j] > t[i]
+            ranked[rank], steps[rank] = t[i], strides[i]
+        for k in range(values.shape[1]):
+            out[k] = (1.0 - ranked[0]) * values[vertex, k]
+        for i in range(axes):
+            vertex += steps[i]
+            weight = ranked[i] - ranked[i + 1]
+            for k in range(values.shape[1]):
+                out[k] += weight * values[vertex, k]
+
+    @njit(cache=True, nogil=True, error_model="numpy")
     def simplex(x: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
                 out: np.ndarray) -> None:
-        t, ranked, steps = np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)
-        outputs = values.shape[1]
+        scratch = np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)
         for q in range(x.shape[0]):
-            vertex = 0
-            for i in range(axes):
-                inner = min(max(x[q, i], levels[i, 0]), levels[i, cells[i]])
-                cell = 0
-                for j in range(1, cells[i]):
-                    cell += inner >= levels[i, j]
-                t[i] = (inner - levels[i, cell]) * inverse[i, cell]
-                vertex += cell * strides[i]
-            for i in range(axes):  # how many are larger; of equal ones the first is
-                rank = 0
-                for j in range(i):
-                    rank += t[j] >= t[i]
-                for j in range(i + 1, axes):
-                    rank += t[j] > t[i]
-                ranked[rank], steps[rank] = t[i], strides[i]
-            for k in range(outputs):
-                out[q, k] = (1.0 - ranked[0]) * values[vertex, k]
-            for i in range(axes):
-                vertex += steps[i]
-                weight = ranked[i] - ranked[i + 1]
-                for k in range(outputs):
-                    out[q, k] += weight * values[vertex, k]
+            at(x[q], levels, inverse, cells, strides, values, scratch, out[q])
 
-    return simplex
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def fixed_points(goal: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
+                     tolerance: float, commands: np.ndarray, change: np.ndarray) -> None:
+        scratch, found = (np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)), np.empty(values.shape[1])
+        for q in range(goal.shape[0]):
+            commands[q] = goal[q]
+            for _ in range(STEPS):
+                at(commands[q], levels, inverse, cells, strides, values, scratch, found)
+                change[q] = 0.0
+                for i in range(axes):
+                    new = goal[q, i] + found[i]
+                    change[q] = max(change[q], abs(new - commands[q, i]))
+                    commands[q, i] = new
+                if change[q] < tolerance:
+                    break
+
+    return SimplexKernels(simplex, fixed_points)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

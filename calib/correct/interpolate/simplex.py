@@ -9,9 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.correct.interpolate.compiled import Tables, simplex_kernel, tables
+from calib.correct.interpolate.compiled import Tables, simplex_kernels, tables
 from calib.correct.interpolate.grid import Grid
 from calib.correct.interpolate.weighted import Weights
+from rig.mechanisms.lanes import EACH, in_parallel
 
 
 class Simplex(Grid):
@@ -28,9 +29,20 @@ class Simplex(Grid):
 
     def value(self, x: np.ndarray) -> np.ndarray:
         x = np.ascontiguousarray(x, float)
-        out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
-        simplex_kernel(x.shape[-1])(x.reshape(-1, x.shape[-1]), *self._tables, out)
+        flat, out = x.reshape(-1, x.shape[-1]), np.empty((x.size // x.shape[-1], self.values.shape[1]))
+        kernel = simplex_kernels(x.shape[-1]).values
+        if len(flat) < 2 * EACH:
+            kernel(flat, *self._tables, out)
+        else:
+            in_parallel(lambda part: kernel(flat[part], *self._tables, out[part]), len(flat))
         return out.reshape(*x.shape[:-1], -1)
+
+    def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+        """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n, axes)."""
+        commands, change = np.empty(goal.shape), np.empty(len(goal))
+        kernel = simplex_kernels(goal.shape[1]).fixed_points
+        in_parallel(lambda part: kernel(goal[part], *self._tables, tolerance, commands[part], change[part]), len(goal))
+        return commands, change
 
     def weights(self, x: np.ndarray) -> Weights:
         cell, t, slope = self.cells(x)

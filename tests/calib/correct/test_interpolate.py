@@ -14,7 +14,7 @@ from calib.correct.interpolate.field import Known, merged
 from calib.correct.interpolate.grid import lattice
 from rig.configurations import division, low_discrepancy
 from rig.entries import Entries
-from rig.errors import FileError, RigError
+from rig.errors import FileError, NotConverged, RigError
 
 STROKE = (0.4, 0.5)
 GRIDS = ("linear", "simplex")
@@ -212,3 +212,20 @@ def test_divisions_are_even_or_not_whole_strokes_or_less(tmp_path):
         path.write_text("axis,level\n" + rows)
         with pytest.raises(FileError, match=says):
             division(strokes(2), str(path))
+
+
+def test_a_compiled_fixed_point_is_the_one_that_iteration_finds(design):
+    from calib.correct.correction import Correction
+    from tests.calib.worlds import workspace
+
+    m = design.mechanism
+    levels = [np.linspace(low, high, 3) for low, high in m.strut_range]
+    rng = np.random.default_rng(1)
+    values = 5e-5 * rng.normal(size=(729, 6))
+    field = kinds.ALL["simplex"](tuple(levels), values, np.zeros(values.shape), np.zeros(6))
+    wanted = workspace(design, 200)
+    commands = Correction(m, m, (None,) * 6, extension=field).inverse(wanted)
+    np.testing.assert_allclose(commands, Correction(m, m, (None,) * 6).inverse(wanted) + field.value(commands), atol=1e-12)
+    with pytest.raises(NotConverged):
+        wild = kinds.ALL["simplex"](tuple(levels), 1e4 * values, np.zeros(values.shape), np.zeros(6))
+        Correction(m, m, (None,) * 6, extension=wild).inverse(wanted)
