@@ -10,11 +10,13 @@ from rig.cameras.source import Frame
 from rig.clock import SimulatedClock
 from rig.commands.looking import Looking
 from rig.commands.page import Page
+from rig.commands.warming import at_home, warm
 from rig.commands.terminal import Block, Lines, block
 from rig.journal import Departure, Ended, Exposed
 from rig.operate import Shot
 from rig.plan import build
 from rig.steps import steps
+from vision.reading.live import Live
 from tests.vision.reading.test_watch import sight
 
 
@@ -89,6 +91,15 @@ def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):
     monkeypatch.setattr(Measured, "take", fail)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         looked(design, frozenset())
+
+
+def test_what_is_drawn_to_warm_up_with_is_the_rig_at_home(design):
+    live = Live(design)
+    sight = live.take(0, at_home(design))
+    live.close()
+    off = design.mechanism.home.inv() * sight.T_base_platform
+    assert np.linalg.norm(off.translation) < 1e-3 and all(len(detection.marker) >= 4 for detection in sight.detections.values())
+    warm(design)
 
 
 def test_a_terminal_says_what_happened(design):

@@ -8,6 +8,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, add_driving
@@ -137,6 +138,7 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     from rig.clock import SystemClock
     from rig.commands.bench import bench_of, set_exposures, shutter_of
     from rig.commands.driving import driving, settled_status
+    from rig.commands.warming import warm
     from rig.commands.watching import displays_of, looking_of
     from rig.journal import Began, Journal
     from rig.operate import Operator
@@ -153,6 +155,8 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
         shutter = shutter_of(design, clock)
         stack.callback(shutter.close)
         told = [print]  # who takes what the driver says: the terminal, then the journal too
+        if not arguments.no_measure:
+            Thread(target=warm, args=(design,), daemon=True).start()
         driver = stack.enter_context(driving(design, arguments.trace, lambda text: [tell(text) for tell in told], clock))
         status = settled_status(driver, clock)
         if arguments.no_home and not status.known:

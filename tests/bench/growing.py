@@ -19,6 +19,7 @@ from rig.clock import SystemClock
 from rig.commands.bench import save_image
 from rig.commands.looking import Looking
 from rig.commands.page import Page
+from rig.commands.warming import warm
 from rig.design import Sensor
 from rig.journal import Began, Journal
 from rig.operate import Bench, Operator
@@ -72,9 +73,7 @@ def _run(folder):
     read, clock = recording.load(folder / "drawn"), SystemClock()
     e, taken = read.exposures, {camera.name: [] for camera in design.cameras}
     images = {c.name: [read_image(read.folder / n) for n, name in zip(e.image, e.camera) if name == c.name] for c in design.cameras}
-    warm = Live(design)  # compiled functions are loaded once, as while homing
-    warm.take(0, {name: own[0] for name, own in images.items()})
-    warm.close()
+    warm(design)  # as while homing
     shutter = Shutter(tuple(_Source(name, own, clock, taken) for name, own in images.items()), clock)
     planned = steps(build(design, plan))
     start = planned[0].goal

@@ -1,0 +1,50 @@
+"""What is compiled, or loaded, with the first frame of a run, done while the struts home: the rig as stated is drawn, measured, learnt from."""
+
+import cv2
+import numpy as np
+
+from calib.online.watch import Learner
+from rig import mechanisms
+from rig.design import Camera, Design
+from vision.corners.detect import detect
+from vision.predict import expected
+from vision.reading.live import Live
+from vision.targets import MarkerMap, marker_cells, marker_map
+
+GREY, BLACK, WHITE = 70, 20, 190  # of 255
+CELL = 8  # px of a cell before it is drawn as it is seen
+
+
+def warm(design: Design) -> None:
+    """Measure one picture of a hexapod at home, learn from it, and forget it all."""
+    m = design.mechanism
+    if m.kind != "hexapod" or not design.cameras or not any(target.body == "platform" for target in design.targets):
+        return
+    images, markers, live = at_home(design), marker_map(design), Live(design)
+    live.take(0, images)
+    live.close()
+    for camera in design.cameras:
+        detect(images[camera.name], camera, markers, T_base_platform=m.home)
+    learner, lengths = Learner(m), mechanisms.of(m).inverse(m.home, m)
+    for _ in range(2):  # the second is held against the first
+        learner.learn(lengths, m.home, 1e-10 * np.eye(6))
+
+
+def at_home(design: Design) -> dict[str, np.ndarray]:
+    """{camera: (height, width) uint8} of a hexapod's markers alone, at home, nothing in front of anything."""
+    markers = marker_map(design)
+    return {camera.name: _picture(camera, design, markers) for camera in design.cameras}
+
+
+def _picture(camera: Camera, design: Design, markers: MarkerMap) -> np.ndarray:
+    image = np.full((camera.height, camera.width), GREY, np.uint8)
+    for row, quad in zip(*expected(camera, design.mechanism.home, markers)):
+        cells = np.kron(marker_cells(markers.dictionary[row], int(markers.id[row])), np.ones((CELL, CELL)))
+        printed = (BLACK + (WHITE - BLACK) * cells).astype(np.uint8)
+        low, high = CELL - 0.5, len(cells) - CELL - 0.5  # the marker has a ring of white about it
+        square = np.array([[low, low], [high, low], [high, high], [low, high]], np.float32)
+        H = cv2.getPerspectiveTransform(square, quad.astype(np.float32))
+        seen = cv2.warpPerspective(printed, H, (camera.width, camera.height), flags=cv2.INTER_AREA)
+        where = cv2.warpPerspective(np.full_like(printed, 255), H, (camera.width, camera.height))
+        image[where > 127] = seen[where > 127]
+    return cv2.GaussianBlur(image, (0, 0), 0.7)
