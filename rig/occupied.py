@@ -11,6 +11,7 @@ from pathlib import Path
 from rig.clock import Clock
 from rig.errors import RigError
 
+KILLED = 2.0  # s in which a process that was killed is gone
 LOOK = 0.05  # s between looks at whether the other has ended
 
 
@@ -35,26 +36,29 @@ class Occupied:
 
 
 def interrupt(port: str, clock: Clock, patience: float) -> int | None:
-    """Have the process that drives the controller at a port stop, as Ctrl-C does, and wait until it has let go (s at most).
+    """Have the process that drives the controller at a port stop the struts and end, and wait until it has let go.
 
+    patience : s after which one that has not is killed. It is asked by SIGTERM, as a shell's background job ignores SIGINT
     Returns its number, or None where nobody drives. Raises RigError where it does not let go, or belongs to somebody else
     """
     handle = os.open(_path(port), os.O_RDWR | os.O_CREAT, 0o600)
     try:
         if _locked(handle):
             return None
-        other, end = _process(handle), clock.now() + patience
+        other = _process(handle)
         if not other:
             raise RigError(f"another process holds the controller at {port} and does not say which it is")
-        try:
-            os.kill(other, signal.SIGINT)
-        except OSError as error:
-            raise RigError(f"process {other} drives the controller at {port} and cannot be asked to stop: {error.strerror}") from None
-        while not _locked(handle):
-            if clock.now() > end:
-                raise RigError(f"process {other} was asked to stop and still holds the controller at {port}: use the rig's own emergency stop")
-            clock.sleep(LOOK)
-        return other
+        for number, wait in ((signal.SIGTERM, patience), (signal.SIGKILL, KILLED)):
+            try:
+                os.kill(other, number)
+            except OSError as error:
+                raise RigError(f"process {other} drives the controller at {port} and cannot be asked to stop: {error.strerror}") from None
+            end = clock.now() + wait
+            while clock.now() <= end:
+                if _locked(handle):
+                    return other
+                clock.sleep(LOOK)
+        raise RigError(f"process {other} was killed and still holds the controller at {port}: use the rig's own emergency stop")
     finally:
         os.close(handle)
 

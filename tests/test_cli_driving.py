@@ -1,7 +1,9 @@
 """The commands that move struts, against an emulated controller at a pseudo-terminal."""
 
 import json
+import multiprocessing
 import re
+import signal
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from rig.errors import RigError
 from rig.occupied import Occupied, interrupt
 from rig.pose import vector
 from synthetic import world
-from tests.running import EmulatedRig
+from tests.running import EmulatedRig, runner
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +96,44 @@ def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, 
     assert [row["kind"] for row in rows].count("exposed") == 3
 
 
-def test_one_process_drives_and_can_be_asked_to_stop(rig, capsys):
+def test_one_process_drives(rig, capsys):
     port = design_file.load(rig).controller.port
     with Occupied(port):
         assert re.search(r"process \d+ is driving", said(capsys, "status", rig, ok=False))
-        with pytest.raises(KeyboardInterrupt):
-            interrupt(port, SystemClock(), 0.05)
+        with pytest.raises(RigError, match="is driving"):
+            Occupied(port)
     assert interrupt(port, SystemClock(), 0.05) is None
-    with Occupied(port), pytest.raises(RigError, match="is driving"):
-        Occupied(port)
+
+
+def test_a_background_job_that_ignores_ctrl_c_is_stopped(emulated, rig, capsys, tmp_path):
+    home, log = float(re.search(r"lengths (\S+)", said(capsys, "home", rig))[1]), tmp_path / "log"
+    before, usual = len(emulated.told()), signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts what is to run in the background
+    try:
+        process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    while process.is_alive() and len(emulated.told()) == before:
+        process.join(0.001)
+    assert f"process {process.pid}, which drove them, was stopped" in said(capsys, "stop", rig)
+    process.join(10)
+    assert process.exitcode == 128 + signal.SIGTERM and "ended by signal" in log.read_text()
+    stood = said(capsys, "status", rig)
+    assert home - 0.01 < float(re.search(r"lengths (\S+)", stood)[1]) < home + 29 and "idle" in stood
+    assert said(capsys, "status", rig) == stood
+
+
+def test_a_process_that_does_not_let_go_is_killed():
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_hold, args=(theirs,))
+    process.start()
+    assert ours.recv() and interrupt("hung", SystemClock(), 0.05) == process.pid
+    process.join()
+    assert process.exitcode == -signal.SIGKILL and interrupt("hung", SystemClock(), 0.05) is None
+
+
+def _hold(pipe):
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    with Occupied("hung"):
+        pipe.send(True)
+        signal.pause()

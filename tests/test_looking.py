@@ -10,8 +10,8 @@ from rig.cameras.source import Frame
 from rig.clock import SimulatedClock
 from rig.commands.looking import Looking
 from rig.commands.page import Page
-from rig.commands.warming import at_home, warm
 from rig.commands.terminal import Block, Lines, block
+from rig.commands.warming import drawn, warm
 from rig.journal import Departure, Ended, Exposed
 from rig.operate import Shot
 from rig.plan import build
@@ -95,7 +95,7 @@ def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):
 
 def test_what_is_drawn_to_warm_up_with_is_the_rig_at_home(design):
     live = Live(design)
-    sight = live.take(0, at_home(design))
+    sight = live.take(0, drawn(design.cameras, design.mechanism.home, live.markers))
     live.close()
     off = design.mechanism.home.inv() * sight.T_base_platform
     assert np.linalg.norm(off.translation) < 1e-3 and all(len(detection.marker) >= 4 for detection in sight.detections.values())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import signal
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -63,8 +62,6 @@ def run(arguments: Namespace) -> int:
     if arguments.dry_run:
         return _dry_run(design, planned)
     _place(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.default_int_handler)
     return _run(arguments, design, planned, settle, options)
 
 

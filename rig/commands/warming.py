@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.online.watch import Learner
 from rig import mechanisms
@@ -20,7 +21,8 @@ def warm(design: Design) -> None:
     m = design.mechanism
     if m.kind != "hexapod" or not design.cameras or not any(target.body == "platform" for target in design.targets):
         return
-    images, markers, live = at_home(design), marker_map(design), Live(design)
+    markers, live = marker_map(design), Live(design)
+    images = drawn(design.cameras, m.home, markers)
     live.take(0, images)
     live.close()
     for camera in design.cameras:
@@ -30,15 +32,14 @@ def warm(design: Design) -> None:
         learner.learn(lengths, m.home, 1e-10 * np.eye(6))
 
 
-def at_home(design: Design) -> dict[str, np.ndarray]:
-    """{camera: (height, width) uint8} of a hexapod's markers alone, at home, nothing in front of anything."""
-    markers = marker_map(design)
-    return {camera.name: _picture(camera, design, markers) for camera in design.cameras}
+def drawn(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> dict[str, np.ndarray]:
+    """{camera: (height, width) uint8} of markers alone, nothing in front of anything."""
+    return {camera.name: _picture(camera, T_base_platform, markers) for camera in cameras}
 
 
-def _picture(camera: Camera, design: Design, markers: MarkerMap) -> np.ndarray:
+def _picture(camera: Camera, T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
     image = np.full((camera.height, camera.width), GREY, np.uint8)
-    for row, quad in zip(*expected(camera, design.mechanism.home, markers)):
+    for row, quad in zip(*expected(camera, T_base_platform, markers)):
         cells = np.kron(marker_cells(markers.dictionary[row], int(markers.id[row])), np.ones((CELL, CELL)))
         printed = (BLACK + (WHITE - BLACK) * cells).astype(np.uint8)
         low, high = CELL - 0.5, len(cells) - CELL - 0.5  # the marker has a ring of white about it
