@@ -26,7 +26,6 @@ REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stat
 AXES = ("strut", "joint")  # what "axis" stands for among an effect's places
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
-FAR = 10.0  # times what rigs show, from which a size is said to be unusual
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
 
 
@@ -251,17 +250,8 @@ class Effect:
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
         """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none is."""
-        for p in cls.parameters_at(place):
-            value = values.get(p.name)
-            if p.role not in ("linear", "size", "inverse") or not isinstance(value, (int, float)):
-                continue
-            most = p.usual[0] if p.role == "inverse" else p.usual[1]
-            times = most / abs(value) if p.role == "inverse" and value else abs(value) / most
-            if times > FAR:
-                end, unit = "least" if p.role == "inverse" else "most", f" {p.unit}" if p.unit else ""
-                return (f"{p.name.replace('_', ' ')} {value:.3g}{unit} is far beyond what rigs show, {most:g}{unit} at the {end}: something else may "
-                        "hide behind it")
-        return None
+        said = (p.unusual(values.get(p.name)) for p in cls.parameters_at(place))
+        return next((text for text in said if text), None)
 
     @classmethod
     def action_at(cls, place: str) -> str:

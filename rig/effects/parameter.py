@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 TURNED = {"m": "rad", "N/m": "N m/rad"}  # units of a strut's and of a joint's axis
 
+FAR = 10.0  # times what rigs show, from which a size is said to be unusual
+
 Range = tuple[float, float]
 
 
@@ -27,6 +29,18 @@ class Parameter:
     role: str = "linear"
     signed: bool = False
     joint: tuple[Range, Range] | None = None
+
+    def unusual(self, value: object) -> str | None:
+        """Whether a value is far beyond what rigs show, in a sentence; None where it is not, or is no number."""
+        if self.role not in ("linear", "size", "inverse") or not isinstance(value, (int, float)):
+            return None
+        inverse = self.role == "inverse"
+        most = self.usual[0] if inverse else self.usual[1]
+        if not (abs(value) * FAR < most if inverse else abs(value) > FAR * most):
+            return None
+        unit, end = f" {self.unit}" if self.unit else "", "least" if inverse else "most"
+        return (f"{self.name.replace('_', ' ')} {value:.3g}{unit} is far beyond what rigs show, {most:g}{unit} at the {end}: something else may hide "
+                "behind it")
 
     def at(self, place: str) -> "Parameter":
         """The same as it is at a place: in rad in place of m at a joint."""
