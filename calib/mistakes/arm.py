@@ -7,8 +7,11 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.arms import place
+from calib.arms.observations import Observations, of_positions
 from calib.mistakes.rough import placed
 from rig.design import Arm, Instrument
+from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.mistakes.mistake import Mistake, in_order
 from rig.mistakes.motion import LIKELY, written
@@ -19,6 +22,7 @@ from rig.recording import Recording
 MOST = 120  # poses looked at
 LEAST = 10
 AWAY = (0.015, 0.02)  # m, rad, RMS beyond which no calibration is left to do but a mistake to find
+INSTRUMENT = (1e-4, 3e-4)  # m, rad; any will do
 BETTER = 0.35
 REACH = 1.0  # m; a radian counts like so much
 
@@ -47,6 +51,23 @@ class Reached:
         position = float(np.median(np.linalg.norm(r[:, :3], axis=1)))
         return position, 0.0 if self.alone else float(np.median(np.linalg.norm(r[:, 3:], axis=1)))
 
+    def stands(self) -> bool:
+        """Whether base and tool can be placed where all agrees by a search that zeros a little off or a hand that stays level do not mislead."""
+        q, free = self.q[self.index], self.instrument
+        if free is None or not (free.base == "free" or free.tool == "free"):
+            return False
+        if self.alone:
+            seen = of_positions(q, self.T.translation, INSTRUMENT[0])
+        else:
+            own = np.diag(np.repeat(np.square(INSTRUMENT), 3))
+            seen = Observations("pose", q, self.T, np.tile(own, (len(q), 1, 1)), np.zeros((len(q), 6, 0)))
+        try:
+            found = place.placed(seen, self.arm, free.base == "free", free.tool == "free")
+        except RigError:
+            return False
+        r = seen.residuals(found)
+        return bool(np.median(np.linalg.norm(r[:, :3], axis=1)) < AWAY[0] and np.median(np.linalg.norm(r[:, 3:], axis=1)) < AWAY[1])
+
     def one(self) -> float:
         """m, both in one figure."""
         position, rotation = self.miss()
@@ -72,7 +93,7 @@ def look(recording: Recording) -> tuple[Mistake, ...]:
 
 def _mistakes(reached: Reached) -> Iterator[Mistake]:
     position, rotation = reached.miss()
-    if position < AWAY[0] and rotation < AWAY[1]:
+    if (position < AWAY[0] and rotation < AWAY[1]) or reached.stands():
         return
     before = position + REACH * rotation
     left, what, do = min(((other.one(), what, do) for what, do, other in _candidates(reached)), key=lambda one: one[0])
