@@ -39,6 +39,11 @@ class Promise:
     confidence: float
     n: int
 
+    @property
+    def turned(self) -> float | None:
+        """rad, the promise of rotations, None where none was measured."""
+        return None if self.rotation is None else self.rotation.upper
+
 
 @dataclass(frozen=True, slots=True)
 class Cell:
@@ -78,10 +83,14 @@ def _bound(poses: HeldPoses, at: np.ndarray, part: slice, level: tuple[float, fl
 
 
 def _margins(errors: np.ndarray, drawn: np.ndarray, coverage: float, confidence: float) -> np.ndarray:
-    """(2,) by how much the errors' (n, 3) quantile may lie lower and higher for what is drawn (d, n, 3) with one draw for all."""
+    """(2,) by how much the errors' (n, 3) quantile may lie lower and higher for what is drawn (d, n, 3) with one draw for all.
+
+    Higher: the quantile with it taken off. Lower: its own length, as it may be all that is seen, which draws apart from the errors do not show
+    """
     quantiles = np.quantile(np.linalg.norm(errors - drawn, axis=2), coverage, axis=1)
     at = np.quantile(np.linalg.norm(errors, axis=1), coverage)
-    return np.maximum([at - np.quantile(quantiles, 1 - confidence), np.quantile(quantiles, confidence) - at], 0.0)
+    own = np.sqrt((drawn**2).sum(axis=2).mean(axis=1))
+    return np.array([np.quantile(own, confidence), max(float(np.quantile(quantiles, confidence) - at), 0.0)])
 
 
 def cells(poses: HeldPoses, coverage: float, confidence: float, scale: float, rng: np.random.Generator) -> tuple[Cell, ...]:

@@ -38,7 +38,8 @@ def distribution(c: Certificate) -> str:
     upper = c.promise.position.upper * 1e6
     lines = [("promise", upper)] + [("tolerance", k.tolerance * 1e6) for k in c.conformity if k.quantity == "position"]
     top = 1.08 * max(lengths[-1], *(value for _, value in lines))
-    left, right, bottom, high = 44.0, 388.0, 176.0, 22.0
+    left, right, high = 44.0, 388.0, 8.0 + 16 * len(lines)
+    bottom = high + 154
 
     def x(value: float) -> float:
         return left + (right - left) * value / top
@@ -52,10 +53,10 @@ def distribution(c: Certificate) -> str:
     parts += [_text(x(v), bottom + 16, f"{v:g}", "middle") for v in _ticks(top)]
     for row, (name, value) in enumerate(lines):
         aside, anchor = (-5, "end") if value > top / 2 else (5, "start")
-        parts += [f'<path class="mark" d="M{x(value):.1f},{high + 16 * row}V{bottom}"/>',
-                  _text(x(value) + aside, high + 12 + 16 * row, f"{name} {value:.1f}", anchor)]
+        parts += [f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
+                  _text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor)]
     parts.append(_text((left + right) / 2, bottom + 34, "position error as measured, um", "middle"))
-    return _svg(216, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts)
+    return _svg(int(bottom) + 40, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts)
 
 
 def cells(c: Certificate) -> str:

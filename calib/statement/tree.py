@@ -43,7 +43,7 @@ def text(c: Certificate) -> str:
 
 
 def _promise(p: Promise) -> dict[str, Any]:
-    return {"position_m": p.position.upper, "rotation_rad": None if p.rotation is None else p.rotation.upper, "coverage": p.coverage,
+    return {"position_m": p.position.upper, "rotation_rad": p.turned, "coverage": p.coverage,
             "confidence": p.confidence, "n": p.n, "position": _bound(p.position), "rotation": None if p.rotation is None else _bound(p.rotation)}
 
 

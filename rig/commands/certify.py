@@ -1,4 +1,4 @@
-"""rig certify CALIBRATION REC.. --out certificate.html|json."""
+"""rig certify CALIBRATION REC.. --out certificate.html|json|pdf|xml."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 UNITS = {"um": ("position", 1e-6), "mm": ("position", 1e-3), "m": ("position", 1.0), "urad": ("rotation", 1e-6), "mrad": ("rotation", 1e-3),
          "rad": ("rotation", 1.0)}
-KINDS = (".json", ".html")
+KINDS = (".json", ".html", ".pdf", ".xml")
 
 
 def tolerance(text: str) -> tuple[str, float]:
@@ -56,12 +56,15 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
-                        help="certificate.html, .json or .json; without a suffix a folder with both")
+                        help="certificate.html, .json, .json, .pdf or .xml (a digital calibration certificate); without a suffix a folder with all")
     parser.add_argument("--tolerance", metavar="T", type=tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad")
     parser.add_argument("--coverage", metavar="SHARE", type=share, default=0.95, help="of poses that the promise is about (0.95)")
     parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
     parser.add_argument("--scale-uncertainty", metavar="R", type=relative, help="relative standard uncertainty of the base targets' scale, as 20e-6")
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
+    for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom")):
+        parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
+    parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
     add_force(parser)
 
@@ -73,6 +76,8 @@ def run(arguments: Namespace) -> None:
         raise RigError("--tolerance takes one length and one angle at the most")
     if arguments.scale_source and arguments.scale_uncertainty is None:
         raise RigError("--scale-source names who certified the scale; --scale-uncertainty says how well")
+    if not re.fullmatch("[A-Z]{2}", arguments.country):
+        raise RigError(f"--country takes two capital letters (ISO 3166-1), not {arguments.country!r}")
     suffix = arguments.out.suffix
     if suffix not in (*KINDS, ""):
         raise RigError(f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them")
@@ -96,7 +101,7 @@ def run(arguments: Namespace) -> None:
     progress.close()
     places = [whole / f"certificate{kind}" for kind in KINDS] if suffix == "" else [whole]
     for place in places:
-        _write(place, place.suffix, made)
+        _write(place, place.suffix, made, arguments)
     _say(made)
     for _, sampled in held:
         print_unsolved(sampled.measurement)
@@ -131,16 +136,22 @@ def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress
     return [(recording, sample_recording(recording, progress=progress)) for recording in loaded]
 
 
-def _write(path: Path, suffix: str, made: Certificate) -> None:
+def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:
+    from calib.statement import dcc, tree
+    from rig.files import write_text
+
     if suffix == ".html":
         from calib.statement.page import certificate_page
 
         certificate_page(path, made)
-        return
-    from calib.statement import tree
-    from rig.files import write_text
+    elif suffix == ".pdf":
+        from calib.statement import pdf
 
-    write_text(path, tree.text(made))
+        pdf.save(path, made)
+    elif suffix == ".xml":
+        write_text(path, dcc.text(made, dcc.Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country)))
+    else:
+        write_text(path, tree.text(made))
 
 
 def _say(made: Certificate) -> None:

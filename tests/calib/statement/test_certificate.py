@@ -5,6 +5,7 @@ import json
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import jsonschema
 import numpy as np
@@ -30,7 +31,11 @@ def rig(*arguments, ok=True):
     """What a command of `rig` says, errors and all, which ends as expected."""
     said = io.StringIO()
     with redirect_stdout(said), redirect_stderr(said):
-        assert (main([str(one) for one in arguments]) == 0) == ok, said.getvalue()
+        try:
+            status = main([str(one) for one in arguments])
+        except SystemExit as end:  # a wrong call
+            status = end.code
+    assert (status == 0) == ok, said.getvalue()
     return said.getvalue()
 
 
@@ -133,3 +138,49 @@ def test_the_page_says_it_all(held):
     page = (held.folder / "made" / "certificate.html").read_text()
     assert "Nobody certified the scale" in page and page.count("<svg") == 2 and "ISO 230-2" in page and "ISO 9283" in page
     assert "inputs_sha256" in page
+
+
+DCC = "{https://ptb.de/dcc}"
+CHILDREN = {  # of elements of DCC 3.3.0, in their order; those with a mark must be there
+    "digitalCalibrationCertificate": "administrativeData! measurementResults!", "software": "name! release!",
+    "statement": "name traceable norm declaration conformity",
+    "coreData": "countryCodeISO3166_1! usedLangCodeISO639_1! mandatoryLangCodeISO639_1! uniqueIdentifier! beginPerformanceDate! endPerformanceDate! "
+                "performanceLocation! issueDate", "item": "name! identifications!", "identification": "issuer! value! name",
+    "contact": "name! location!", "customer": "name! location!", "respPerson": "person! mainSigner", "measurementResults": "measurementResult!",
+    "measurementResult": "name! description usedMethods influenceConditions results!", "usedMethod": "name! norm",
+    "influenceCondition": "name! data!",
+    "result": "name! description data!", "quantity": "name real!", "real": "value! unit!"}
+
+
+def test_the_digital_calibration_certificate_has_the_published_structure(held):
+    root = ElementTree.parse(held.folder / "made" / "certificate.xml").getroot()
+    administrative = [part.tag.removeprefix(DCC) for part in root[0]]
+    assert sorted(administrative) == ["calibrationLaboratory", "coreData", "customer", "dccSoftware", "items", "respPersons", "statements"]
+    seen = set()
+    for element in root.iter():
+        name = element.tag.split("}")[1]
+        if name in CHILDREN:
+            order = CHILDREN[name].replace("!", "").split()
+            places = [order.index(child.tag.split("}")[1]) for child in element]
+            assert places == sorted(places), name
+            assert {word[:-1] for word in CHILDREN[name].split() if word[-1] == "!"} <= {child.tag.split("}")[1] for child in element}, name
+            seen.add(name)
+        if name in ("release", "value", "uniqueIdentifier", "norm", "content"):
+            assert element.text == " ".join(element.text.split()) != ""
+    assert seen == set(CHILDREN) and root.get("schemaVersion") == "3.3.0"
+    real = {quantity[0][0].text: quantity[1] for quantity in root.iter(DCC + "quantity")}
+    assert float(real["bound of the position error"][0].text) == pytest.approx(held.tree["promise"]["position_m"])
+    assert real["bound of the position error"][1].text == r"\metre"
+
+
+def test_paper_has_every_page(held):
+    pdf = (held.folder / "made" / "certificate.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page ") >= 2
+
+
+@pytest.mark.parametrize("words, said", [(("--tolerance", "20"), "is no tolerance"), (("--tolerance", "20um", "3mm"), "one length and one angle"),
+                                         (("--country", "de"), "two capital letters"), (("--scale-source", "x"), "--scale-uncertainty says"),
+                                         (("--out", "made.txt"), "is written as")])
+def test_what_makes_no_sense_is_refused(held, tmp_path, words, said):
+    arguments = ["certify", held.folder / "cal.json", held.folder / "other", "--out", tmp_path / "c.json", *words]
+    assert said in rig(*arguments, ok=False)
