@@ -79,22 +79,20 @@ class Driver:
     def __exit__(self, *error: Any) -> None:
         self.close()
 
-    def open(self) -> Status:
-        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer, ControllerFault."""
+    def open(self, stopping: bool = False) -> Status:
+        """Connect, and read what the controller is and where the struts stand. Raises LinkLost, NoAnswer, ControllerFault.
+
+        stopping : the struts are stopped before anything is asked: a controller that homes may answer nothing
+        """
         self.link.connect(0.0)
+        if stopping:
+            self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
         self._say(self.link.run(self._protocol.hello()))
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
         within = not mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any()
         self._known = bool(state.homed) or (not self.controller.homing and within and state.activity != "alarm")
         return self._status(state)
-
-    def open_stopping(self) -> Status:
-        """Connect and stop the struts before anything is asked: a controller that homes may answer nothing. Raises as `open` does."""
-        self.link.connect(0.0)
-        self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
-        self._say(self.link.run(self._protocol.hello()))
-        return self._status(self._state())
 
     def close(self) -> None:
         """Let go of the port."""

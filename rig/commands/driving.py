@@ -39,7 +39,7 @@ def driving(design: Design, trace: Path | None, say: Callable[[str], None], cloc
                 raise FileError(trace, f"cannot be written: {error.strerror}") from None
         driver = Driver(design, clock or SystemClock(), trace=file, say=say)
         stack.callback(driver.close)
-        driver.open_stopping() if stopping else driver.open()
+        driver.open(stopping)
         yield driver
 
 

@@ -225,8 +225,22 @@ def test_a_rig_that_homes_for_another_process_is_stopped(driven_design, protocol
     driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW)
     emulator.machine.start_homing(clock.now())
     clock.sleep(0.01)
-    assert driver.open_stopping().activity != "homing"
+    assert driver.open(stopping=True).activity != "homing"
     _stands_before_home(driver, emulator, clock, driven_design)
+
+
+def test_a_rig_that_moves_for_another_process_is_stopped_and_keeps_its_position(ready):
+    driver, emulator, clock, home = ready
+    emulator.machine.go(clock.now(), emulator.machine.counters(clock.now()) + 8e-3, 1.0)
+    clock.sleep(0.3)
+    other = Driver(driver.design, clock, lambda: EmulatorPort(emulator, clock))
+    status = other.open(stopping=True)
+    assert status.activity == "idle" and status.known
+    stood = truly(emulator, clock)
+    clock.sleep(10)
+    np.testing.assert_allclose(truly(emulator, clock), stood, atol=1e-9)
+    assert np.abs(stood - home - 8e-3).max() > 1e-3
+    np.testing.assert_allclose(status.lengths, stood, atol=1e-6)
 
 
 def test_homing_that_takes_too_long_is_stopped(driven_design, protocol):
