@@ -24,7 +24,7 @@ COMMANDS = {
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
     "calibrate": "A recording -> calibration.json: geometry and corrections, with held-out figures.",
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
-    "blind": "Sealed trials of the diagnosis on rigs that are not there, and their score.",
+    "blind": "Blinded cases of the diagnosis on rigs that are not there, and their score.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",

@@ -1,4 +1,4 @@
-"""Sealed trials: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
+"""Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
 
 import tempfile
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from rig.files import write_text
 from rig.observed import Corners
 from rig.plan import Plan, build
 from rig.recording import Sensors
-from synthetic import blind_images, outlaws, simulation, world
+from synthetic import blind_images, out_of_catalogue, simulation, world
 from synthetic.blind_images import Eyes
 from vision import lens
 
-KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, an outlaw, a disturbance
-TIMES = {"nothing": 4, "one": 9, "two": 4, "foreign": 4, "noise": 2}  # a kind comes up in so many of 23 trials
-BLINDFOLDS = {"temperature": "no temperature is logged", "payload": "no load is put on", "reversals": "every pose is approached from one side",
+KINDS = ("nothing", "one", "two", "foreign", "noise")  # of what is hidden: nothing, effects of the catalogue, one out of the catalogue, a disturbance
+TIMES = {"nothing": 4, "one": 9, "two": 4, "foreign": 4, "noise": 2}  # a kind comes up in so many of 23 cases
+WITHHELD = {"temperature": "no temperature is logged", "payload": "no load is put on", "reversals": "every pose is approached from one side",
               "motion": "no exposure while moving"}
 FRAMES = 380  # of a recording by default
 TRIES = 20  # of drawing something that the rig survives
@@ -34,11 +34,11 @@ WARP_POINTS = 12  # each way, at which the size of a lens's missing part is meas
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """One trial before it is written.
+class DrawnCase:
+    """One case before it is written.
 
     kind : of KINDS; simulation : Simulation with all hidden effects at work; text : the owner's rig.toml; noise : px
-    disturbance : of outlaws.DISTURBANCES or None; plan : in words; rng : what draws the noise
+    disturbance : of out_of_catalogue.DISTURBANCES or None; plan : in words; rng : what draws the noise
     hidden : the effects that a diagnosis should find; eyes : Eyes that it is drawn into images for, or None for corners
     """
 
@@ -54,7 +54,7 @@ class Trial:
 
 
 def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int = len(ALL)) -> tuple[str, list[int], np.random.Generator]:
-    """(kind, numbers of its effects in a catalogue of so many, rng) of trial `index` of a season: each comes up as often as the others."""
+    """(kind, numbers of its effects in a catalogue of so many, rng) of case `index` of a campaign: each comes up as often as the others."""
     deck = np.concatenate([[k] * TIMES[name] for k, name in enumerate(KINDS) if name in kinds])
     shuffled = np.random.default_rng([seed, 1]).permutation(deck)
     kind = KINDS[shuffled[index % len(deck)]]
@@ -66,9 +66,9 @@ def schedule(seed: int, index: int, kinds: Sequence[str] = KINDS, catalogue: int
     return kind, numbers, np.random.default_rng([seed, 3, index])
 
 
-def draw(seed: int, index: int, frames: int = FRAMES, blindfold: Sequence[str] = (), kinds: Sequence[str] = KINDS,
-         effects: Sequence[str] = (), images: bool = False) -> Trial:
-    """Trial `index` of a season. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
+def draw(seed: int, index: int, frames: int = FRAMES, withheld: Sequence[str] = (), kinds: Sequence[str] = KINDS,
+         effects: Sequence[str] = (), images: bool = False) -> DrawnCase:
+    """Case `index` of a campaign. effects : names to which the catalogue is confined, all by default; images : whether it is drawn into images,
     with printing tolerances, and hides only what these can show
 
     Raises RigError where nothing that the rig survives comes up in TRIES draws.
@@ -80,32 +80,32 @@ def draw(seed: int, index: int, frames: int = FRAMES, blindfold: Sequence[str] =
         numbers[1] = (numbers[1] + 1) % len(catalogue)
     for _ in range(TRIES - 1):
         with suppress(RigError):
-            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold, images)
-    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, blindfold, images)
+            return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, withheld, images)
+    return _drawn(kind, [catalogue[n] for n in numbers], rng, frames, withheld, images)
 
 
-def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, blindfold: Sequence[str],
-           images: bool) -> Trial:
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, withheld: Sequence[str],
+           images: bool) -> DrawnCase:
     eyes = blind_images.eyes(rng) if images else None
     text = _rig(rng) if eyes is None else eyes.seen_through(_rig(rng, eyes.width, eyes.height))
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "rig.toml", text)
         design = design_file.load(Path(folder) / "rig.toml")
-    plan = _protocol(frames, rng, blindfold, images)
-    route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in blindfold)
+    plan = _protocol(frames, rng, withheld, images)
+    route = build(design, plan, int(rng.integers(1 << 30)), "reversals" in withheld)
     duration = float(route.t[-1])
     effects = [_effect(e, design, route, rng) for e in hidden]
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
     if kind == "foreign":
-        effects = [outlaws.draw(design, duration, rng)]
+        effects = [out_of_catalogue.draw(design, duration, rng)]
     slight = [] if eyes is None else [blind_images.printed(design, rng)]
     secret = world.draw(design, rng, float(rng.uniform(0.5, 1.5)), [*effects, *slight])
     done = simulation.simulate(secret, route, rng)
-    kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in blindfold and "temperature" in name)}
-    disturbance = outlaws.DISTURBANCES[rng.integers(len(outlaws.DISTURBANCES))] if kind == "noise" else None
+    kept = {name: v for name, v in done.log.channels.items() if not ("temperature" in withheld and "temperature" in name)}
+    disturbance = out_of_catalogue.DISTURBANCES[rng.integers(len(out_of_catalogue.DISTURBANCES))] if kind == "noise" else None
     noise = _log(rng, *NOISE) if eyes is None else eyes.noise
-    return Trial(kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes)
+    return DrawnCase(kind, replace(done, log=Sensors(done.log.t, kept)), text, noise, disturbance, plan, rng, tuple(effects), eyes)
 
 
 def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str:
@@ -115,15 +115,15 @@ def _rig(rng: np.random.Generator, width: int = 1280, height: int = 1024) -> str
     return text.replace("screw_lead = 0.004", f"screw_lead = {rng.choice([0.002, 0.004, 0.005, 0.01])}").replace('"cardan-cardan"', f'"{joints}"')
 
 
-def _protocol(frames: int, rng: np.random.Generator, blindfold: Sequence[str], again: bool = False) -> str:
+def _protocol(frames: int, rng: np.random.Generator, withheld: Sequence[str], again: bool = False) -> str:
     """Text of a plan of about so many frames: configurations, ladders, loads, motion, repeats in a random order.
 
     again : whether ladders and repeats are always among them, where markers come back to the same pixels
     """
     parts = ["sobol", "sobol"]
-    parts += ["ladder"] * ((again or rng.random() < 0.85) and "reversals" not in blindfold)
-    parts += ["payload"] * (rng.random() < 0.8 and "payload" not in blindfold)
-    parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(blindfold) else 0)
+    parts += ["ladder"] * ((again or rng.random() < 0.85) and "reversals" not in withheld)
+    parts += ["payload"] * (rng.random() < 0.8 and "payload" not in withheld)
+    parts += ["moving"] * (int(rng.integers(1, 4)) if not {"motion", "reversals"} & set(withheld) else 0)
     parts += ["repeat"] * (again or rng.random() < 0.3)
     share = {"sobol": 3.0, "ladder": 2.5, "payload": 1.5, "moving": 1.0, "repeat": 1.0}
     weights = np.array([share[part] for part in parts]) * rng.uniform(0.7, 1.3, len(parts))
@@ -159,27 +159,27 @@ def _displaced(effect: Effect, camera: Camera) -> float:
     return float(np.sqrt(np.mean(moved**2)))
 
 
-def write_recording(trial: Trial, folder: Path) -> None:
-    """Write the recording of a trial into a folder."""
+def write_recording(case: DrawnCase, folder: Path) -> None:
+    """Write the recording of a case into a folder."""
     spoil = None
-    if trial.disturbance is not None:
+    if case.disturbance is not None:
         def spoil(corners: Corners) -> Corners:
-            return trial.disturbance(corners, trial.simulation.world.stated, trial.noise, trial.rng)
-    images = None if trial.eyes is None else trial.eyes.images
-    simulation.write(trial.simulation, folder, trial.text, trial.rng, trial.noise, images, spoil=spoil)
+            return case.disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
+    images = None if case.eyes is None else case.eyes.images
+    simulation.write(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
 
 
-def corners_of(trial: Trial) -> Corners:
-    """The corners that a trial's recording shows, as well as corners of its images are good for."""
-    return simulation.corners(trial.simulation, trial.noise, np.random.default_rng(0))
+def corners_of(case: DrawnCase) -> Corners:
+    """The corners that a case's recording shows, as well as corners of its images are good for."""
+    return simulation.corners(case.simulation, case.noise, np.random.default_rng(0))
 
 
-def write_truth(trial: Trial, path: Path, **more: Any) -> None:
-    """Write the truth of a trial, with more besides, into a file."""
-    disturbance = trial.disturbance.__name__ if trial.disturbance is not None else None
-    hidden = replace(trial.simulation.world, effects=trial.hidden)
-    world.write_truth(path, hidden, trial.simulation.run.T_base_platform, kind=trial.kind, disturbance=disturbance,
-                      noise_px=trial.noise, plan=trial.plan, **more)
+def write_truth(case: DrawnCase, path: Path, **more: Any) -> None:
+    """Write the truth of a case, with more besides, into a file."""
+    disturbance = case.disturbance.__name__ if case.disturbance is not None else None
+    hidden = replace(case.simulation.world, effects=case.hidden)
+    world.write_truth(path, hidden, case.simulation.run.T_base_platform, kind=case.kind, disturbance=disturbance,
+                      noise_px=case.noise, plan=case.plan, **more)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:

@@ -1,4 +1,4 @@
-"""Sealed trials of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as real recordings are."""
+"""Blinded cases of arms: makes, instruments, protocols and left-out physics drawn at random; a third of them as hard as real recordings are."""
 
 import tempfile
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from synthetic.blind import TRIES, schedule
 KINDS = ("nothing", "one", "two")  # of what is hidden
 FRAMES = 220  # poses of a recording by default
 SIGMA, TURN = (1e-5, 6e-5), (3.0, 8.0)  # m, and rad/m, of an instrument's poses
-HARD = 3  # one trial in so many is hard
+HARD = 3  # one case in so many is hard
 STUDENT, WILD, WILDER, FEWER, UNDERSTATED = 3.0, (0.01, 0.03), 10.0, 0.25, 10.0
 HARDSHIPS = {"positions": "no rotations are measured", "wild": "1 to 3 % of the rows are off by ten sigma", "tails": "Student's t noise",
              "understated": "the stated sigma is too small by ten", "untimed": "the times are lost, the order is true",
@@ -42,7 +42,7 @@ limits = [[-3.0, 3.0], [-3.0, 0.0], [-2.5, 2.5], [-3.0, 3.0], [-2.5, 2.5], [-3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmTrial:
+class DrawnArmCase:
     """kind : of KINDS; make; simulation : Simulation with its noise-free poses; text : the owner's rig.toml; sigma : (2,) m, rad as it truly is
     hard : of HARDSHIPS; plan : in words; rng : what draws the noise"""
 
@@ -62,8 +62,8 @@ def makes() -> dict[str, str]:
     return {"ur10": UR10, **{name: (shipped / f"{name}.toml").read_text(encoding="utf-8") for name in ("puma560", "panda")}}
 
 
-def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> ArmTrial:
-    """Trial `index` of a season of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
+def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KINDS, effects: Sequence[str] = ()) -> DrawnArmCase:
+    """Case `index` of a campaign of arms. effects : names to which the catalogue is confined, all that an arm's poses can show by default.
 
     Raises RigError where nothing comes up in TRIES draws, or no effect of the catalogue is left
     """
@@ -80,7 +80,7 @@ def draw(seed: int, index: int, frames: int = FRAMES, kinds: Sequence[str] = KIN
     raise AssertionError
 
 
-def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> ArmTrial:
+def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, frames: int, index: int) -> DrawnArmCase:
     make = str(rng.choice(list(makes())))
     hard = _hardships(make, rng) if index % HARD == 0 else ()
     sigma = log_uniform(rng, *SIGMA) * np.array([1.0, rng.uniform(*TURN)])
@@ -100,7 +100,7 @@ def _drawn(kind: str, hidden: list[type[Effect]], rng: np.random.Generator, fram
     if len({(e.name, e.place) for e in effects}) < len(effects):
         raise RigError("the same effect twice at one place")
     done = simulation.simulate(world.draw(design, rng, float(rng.uniform(0.5, 1.5)), effects), route, rng)
-    return ArmTrial(kind, make, done, text, sigma, hard, plan, rng)
+    return DrawnArmCase(kind, make, done, text, sigma, hard, plan, rng)
 
 
 def _arm(design: Design) -> Arm:
@@ -134,22 +134,22 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     return effect
 
 
-def write_recording(trial: ArmTrial, folder: Path) -> None:
-    """Write the recording of a trial into a folder, with its noise and what makes it hard."""
-    rng, done, n = trial.rng, trial.simulation, len(trial.simulation.plan.t)
-    noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in trial.hard else rng.normal(size=(n, 6))
-    if "wild" in trial.hard:
+def write_recording(case: DrawnArmCase, folder: Path) -> None:
+    """Write the recording of a case into a folder, with its noise and what makes it hard."""
+    rng, done, n = case.rng, case.simulation, len(case.simulation.plan.t)
+    noise = rng.standard_t(STUDENT, (n, 6)) if "tails" in case.hard else rng.normal(size=(n, 6))
+    if "wild" in case.hard:
         wild = rng.choice(n, max(round(n * rng.uniform(*WILD)), 1), replace=False)
         noise[wild] += WILDER * rng.choice([-1.0, 1.0], (len(wild), 6))
-    T = done.run.T_base_platform * exp(np.repeat(trial.sigma, 3) * noise)
-    seen = rng.random(n) >= FEWER if "missing" in trial.hard else np.ones(n, bool)
+    T = done.run.T_base_platform * exp(np.repeat(case.sigma, 3) * noise)
+    seen = rng.random(n) >= FEWER if "missing" in case.hard else np.ones(n, bool)
     plan, log = done.plan, done.log
-    if "untimed" in trial.hard:
+    if "untimed" in case.hard:
         plan, log = _untimed(plan), Sensors(done.log.t, {})
     stated = replace(done.world.stated, instrument=_exact(done.world.stated))
     shown = replace(done, plan=replace(plan, t=plan.t[seen]), log=log, run=replace(done.run, T_base_platform=T[seen]),
                     world=replace(done.world, stated=stated))
-    simulation.write(shown, folder, trial.text, rng)
+    simulation.write(shown, folder, case.text, rng)
 
 
 def _exact(design: Design) -> Instrument:
@@ -166,7 +166,7 @@ def _untimed(plan: Plan) -> Plan:
                    t=np.searchsorted(t, plan.t).astype(float), payload=np.array([(0.0, 0.0)]))
 
 
-def write_truth(trial: ArmTrial, path: Path, **more: object) -> None:
-    """Write the truth of a trial, with more besides, into a file."""
-    world.write_truth(path, trial.simulation.world, trial.simulation.run.T_base_platform, kind=trial.kind, make=trial.make,
-                      disturbance=" and ".join(trial.hard) or None, sigma=trial.sigma.tolist(), plan=trial.plan, **more)
+def write_truth(case: DrawnArmCase, path: Path, **more: object) -> None:
+    """Write the truth of a case, with more besides, into a file."""
+    world.write_truth(path, case.simulation.world, case.simulation.run.T_base_platform, kind=case.kind, make=case.make,
+                      disturbance=" and ".join(case.hard) or None, sigma=case.sigma.tolist(), plan=case.plan, **more)

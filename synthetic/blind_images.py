@@ -1,4 +1,4 @@
-"""What a blind trial from images draws besides: resolution, lens, optics, sensor, and how the markers are printed."""
+"""What a blind case from images draws besides: resolution, lens, optics, sensor, and how the markers are printed."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from rig.effects.base import Effect
 from synthetic.pictures import Images, drawable
 from synthetic.printing import Printing, drawn
 
-KINDS = ("nothing", "one", "two")  # of what is hidden: a disturbance of corners has no picture, an outlaw seldom one
+KINDS = ("nothing", "one", "two")  # of what is hidden: a disturbance of corners has no picture, an effect out of the catalogue seldom one
 FRAMES = 40  # of a recording by default
 RESOLUTIONS = ((640, 512), (960, 768), (1280, 1024))  # px
 LENSES = ("[-0.1, 0.08, 0.0, 0.0, 0.0]", "[-0.25, 0.1, 0.0004, -0.0003, 0.0]")  # OpenCV k1 k2 p1 p2 k3; the first is the layout's
@@ -34,7 +34,7 @@ class Eyes:
 
     @property
     def images(self) -> Images:
-        """How they are drawn: in one process, since trials run side by side."""
+        """How they are drawn: in one process, since cases run side by side."""
         return Images(self.sensor, processes=1)
 
     @property

@@ -1,4 +1,4 @@
-"""Sealed truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
+"""Blinded truth against diagnoses -> verdicts, and verdicts -> figures with exact intervals."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -29,21 +29,21 @@ class Hidden:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A finding. parameters : {name: (value, [low, high] or None)}; rivals : [(effect, place)] that it cannot be told from"""
+    """A finding. parameters : {name: (value, [low, high] or None)}; alternatives : [(effect, place)] that it cannot be told from"""
 
     effect: str
     place: str
     parameters: dict
-    rivals: list
+    alternatives: list
 
     def names(self) -> list[str]:
         """Effects that it leaves possible, its own first."""
-        return [self.effect, *(name for name, _ in self.rivals)]
+        return [self.effect, *(name for name, _ in self.alternatives)]
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One trial, unsealed. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found]; unexplained : whether anything is
+    """One case, unblinded. index; kind; disturbance : name or None; hidden : [Hidden]; found : [Found]; unexplained : whether anything is
     said to be left; ratio : held-out misfit over the noise floor; seconds : that the diagnosis took; failed : its error or None
     remarks : (Found, ..) of what is there and within tolerances"""
 
@@ -72,7 +72,7 @@ class Case:
     def match(self, hidden: Hidden) -> Found | None:
         """The finding that answers a hidden effect: same place if there is one, else the same name, else one that allows it, or None."""
         for fits in (lambda f: (f.effect, f.place) == (hidden.effect, hidden.place), lambda f: f.effect == hidden.effect,
-                     lambda f: (hidden.effect, hidden.place) in f.rivals, lambda f: hidden.effect in f.names()):
+                     lambda f: (hidden.effect, hidden.place) in f.alternatives, lambda f: hidden.effect in f.names()):
             for f in self.said:
                 if fits(f):
                     return f
@@ -121,7 +121,7 @@ def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float,
 
 def case(index: int, truth: Path, diagnosis: Path | None, seconds: float = float("nan"), failed: str | None = None) -> Case:
     """Case of a truth file and a diagnosis.json (None where it failed). Raises FileError for a file that is neither."""
-    tree = json_file.load(truth, "truth of a trial")
+    tree = json_file.load(truth, "truth of a case")
     effects = tree.tables("effects")
     hidden = [_hidden(table, strength) for table, strength in zip(effects, tree.array("strengths", (len(effects),)).tolist())]
     kind, disturbance = tree.text("kind"), tree.text("disturbance") if tree.get("disturbance") is not None else None
@@ -157,8 +157,8 @@ def _found(table: Entries) -> Found:
             if interval is not None:
                 p.numbers(interval, (2, *shape), "ci95", (), nulls=True)
         parameters[name] = (value, interval)
-    rivals = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")] if "cannot_be_told_from" in table.tree else []
-    return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, rivals)
+    alternatives = [(r.text("effect"), r.text("place")) for r in table.tables("cannot_be_told_from")] if "cannot_be_told_from" in table.tree else []
+    return Found(effect, _place(table, effect, parameters.get("other", (-1,))[0]), parameters, alternatives)
 
 
 def _place(table: Entries, effect: str, other: float) -> str:
@@ -192,7 +192,7 @@ def covered(hidden: Hidden, found: Found | None) -> list[bool]:
 
 
 def figures(cases: list[Case]) -> list[Figure]:
-    """[Figure] of a season, in the order of the page."""
+    """[Figure] of a campaign, in the order of the page."""
     done = [c for c in cases if c.failed is None]
     still = [c for c in done if c.kind == "nothing"]
     one = [c for c in done if c.kind == "one" and c.hidden[0].strength >= STRONG]
@@ -213,7 +213,7 @@ def figures(cases: list[Case]) -> list[Figure]:
         share("outside the catalogue: called unknown", [c.unexplained and not c.named for c in foreign], 0.8),
         share("outside the catalogue: no name given", [not c.named for c in foreign]),
         share("noise only disturbed: no name given", [not c.named for c in noise]),
-        share("no wrong name in any trial", [not c.wrong() for c in done]),
+        share("no wrong name in any case", [not c.wrong() for c in done]),
         share("95 % intervals that cover", inside, 0.91),
     ]
 
@@ -229,7 +229,7 @@ def medians(cases: list[Case]) -> dict[str, float]:
 
 
 def by_effect(cases: list[Case]) -> list[Group]:
-    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all trials that hide them."""
+    """[(effect, [Figure detected, named, placed, covered], {taken for: times})] of strong effects in all cases that hide them."""
     return _grouped(cases, lambda h: h.effect if h.strength >= STRONG else None)
 
 
@@ -258,7 +258,7 @@ def _grouped(cases: list[Case], group: Callable[[Hidden], str | None]) -> list[G
 
 
 def confusion(cases: list[Case]) -> dict[str, dict[str, int]]:
-    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for trials that hide no effect."""
+    """{hidden: {taken for: times}} of strong effects; "nothing" and each disturbance stand for cases that hide no effect."""
     out = {name: counts for name, _, counts in by_effect(cases)}
     for c in cases:
         if c.failed is None and not c.hidden:

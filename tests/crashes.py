@@ -33,8 +33,8 @@ COMMANDS = {  # what a command did before, and what it is doing when it is stopp
     "view": ("view rec --frame 1 --out v.png", "view rec --frame 2 --out v.png"),
     "online": ("online rec --state s.json", "online rec2 --state s.json"),
     "diagnose": ("diagnose rec --only backlash --out diag", "diagnose rec2 --only backlash --out diag"),
-    "blind": ("blind --season 2 --frames 40 --hide nothing --out season --trials 1",
-              "blind --season 2 --frames 40 --hide nothing --out season --trials 1-2"),
+    "blind": ("blind --season 2 --frames 40 --hide nothing --out campaign --cases 1",
+              "blind --season 2 --frames 40 --hide nothing --out campaign --cases 1-2"),
 }
 QUICK = ("design", "print", "simulate", "export")
 POSES = "frame,x,y,z,rx,ry,rz\n0,0,0,0.45,0,0,0\n1,{},0,0.45,0,0,0.02\n"
@@ -118,9 +118,9 @@ def run(folder: Path, words: list[str]) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Content of all files but temporaries, without what differs from run to run (a season's score counts its seconds)."""
+    """Content of all files but temporaries, without what differs from run to run (a campaign's score counts its seconds)."""
     return {str(path.relative_to(folder)): CHANGES.sub(b"", path.read_bytes()) for path in sorted(folder.rglob("*"))
-            if path.is_file() and ".rig-" not in str(path.relative_to(folder)) and not path.match("season/score.*")}
+            if path.is_file() and ".rig-" not in str(path.relative_to(folder)) and not path.match("campaign/score.*")}
 
 
 def prepared(base: Path, names: tuple[str, ...]) -> list[Scene]:

@@ -1,4 +1,4 @@
-"""The score of a season of blind trials, as a tree for JSON and as a page."""
+"""The score of a campaign of blind cases, as a tree for JSON and as a page."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ COLOURS = ("tab:green", "tab:olive", "tab:cyan", "tab:red", "tab:orange", "black
 
 
 def tree(cases: list[Case]) -> dict:
-    """{figures, medians, by_effect, by_strength, confusion, trials} of Cases."""
+    """{figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
     return {"figures": [asdict(f) for f in score.figures(cases)],
             "medians": {name: None if math.isnan(value) else value for name, value in score.medians(cases).items()},
             "by_effect": _rows(score.by_effect(cases)), "by_strength": _rows(score.by_strength(cases)), "confusion": score.confusion(cases),
-            "trials": [{"trial": c.index, "kind": c.kind, "disturbance": c.disturbance, "failed": c.failed, "seconds": c.seconds,
+            "cases": [{"case": c.index, "kind": c.kind, "disturbance": c.disturbance, "failed": c.failed, "seconds": c.seconds,
                         "ratio": None if math.isnan(c.ratio) else c.ratio, "unexplained": c.unexplained,
                         "hidden": [{"effect": h.effect, "place": h.place, "strength": h.strength, "outcome": outcome(c, h)} for h in c.hidden],
-                        "found": [{"effect": f.effect, "place": f.place, "rivals": [list(r) for r in f.rivals]} for f in c.found]} for c in cases]}
+                        "found": [{"effect": f.effect, "place": f.place, "alternatives": [list(a) for a in f.alternatives]} for f in c.found]}
+                      for c in cases]}
 
 
 def outcome(case: Case, hidden: Hidden) -> str:
@@ -40,20 +41,20 @@ def outcome(case: Case, hidden: Hidden) -> str:
     return "named and placed" if found.place == hidden.place else "named"
 
 
-def season_page(path: Path, settings: dict, cases: list[Case]) -> None:
-    """Write the page of a season: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
+def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
+    """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
     said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
-    parts = [f"<p>{len(cases)} sealed trials ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and "
+    parts = [f"<p>{len(cases)} blinded cases ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and "
              f"geometry have taken what they can; an effect is strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %.</p>",
              table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in score.figures(cases)]),
              table(("median", ""), [(name, f"{value:.3g}") for name, value in score.medians(cases).items()]),
-             "<h2>By effect</h2><p class=note>Strong ones, in trials with one or two.</p>", _grouped(score.by_effect(cases), "effect"),
+             "<h2>By effect</h2><p class=note>Strong ones, in cases with one or two.</p>", _grouped(score.by_effect(cases), "effect"),
              "<h2>By strength</h2>", _grouped(score.by_strength(cases), "signal-to-noise")]
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
     parts += ["<h2>What was taken for what</h2><p class=note>Rows: what was hidden. Columns: the name that it was given.</p>",
               _confusion(score.confusion(cases)), "<h2>Answers that were not right</h2>", _wrong(cases)]
-    page(path, "Blind trials", parts)
+    page(path, "Blind cases", parts)
 
 
 def _figure(f: Figure) -> tuple:
@@ -102,4 +103,4 @@ def _wrong(cases: list[Case]) -> str:
             c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
         if c.failed is not None or not right:
             rows.append((c.index, hidden, c.failed or found))
-    return table(("trial", "hidden (strength)", "found"), rows) if rows else "<p>There is none.</p>"
+    return table(("case", "hidden (strength)", "found"), rows) if rows else "<p>There is none.</p>"

@@ -26,7 +26,7 @@ from calib.pipeline import sample_recording
 from rig import plan, recording
 from rig.effects.parse import parse
 from rig.layout import layout
-from synthetic import outlaws, simulation, world
+from synthetic import out_of_catalogue, simulation, world
 from tests.calib.recorded import recorded
 from tests.numeric import jacobian
 from tests.vision import tumbling
@@ -155,7 +155,7 @@ def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
 def test_a_marker_of_another_size_gets_no_name(tmp_path, design):
     rng = np.random.default_rng(4)
     scales = np.where(marker_map(design).id == 7, 4e-3, 0.0)
-    secret = world.draw(design, rng, 1.0, (outlaws.UnevenPrint("markers", tuple(scales)),))
+    secret = world.draw(design, rng, 1.0, (out_of_catalogue.UnevenPrint("markers", tuple(scales)),))
     simulation.write(simulation.simulate(secret, plan.build(design, "sobol:60", 3), rng), tmp_path, layout(0.3), rng, 0.04)
     found = diagnose(recording.load(tmp_path), only=["face_misplacement", "print_scale", "edge_bias", "cube_misplacement"])
     assert not found.effects and found.left[0].place == "marker 7"

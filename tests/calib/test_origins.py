@@ -50,6 +50,6 @@ def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [effect.name for effect in ALL])
 def test_no_verdict_of_the_catalogue_depends_on_the_origin(tmp_path, kind):
-    trial = blind.draw(11, 1, 160, [], ["one"], [kind])
-    blind.write_recording(trial, tmp_path / "rec")
+    case = blind.draw(11, 1, 160, [], ["one"], [kind])
+    blind.write_recording(case, tmp_path / "rec")
     assert_same(verdicts(tmp_path / "rec", tmp_path, sorted({kind, *CLOCKED})))

@@ -227,7 +227,7 @@ def test_a_link_out_of_a_folder_is_not_followed(tmp_path):
 
 
 def test_a_folder_written_in_place_is_marked_until_its_end(tmp_path):
-    out = tmp_path / "season"
+    out = tmp_path / "campaign"
     with pytest.raises(ZeroDivisionError), Outputs("blind") as outputs:
         write_text(outputs.growing(out) / "x", "1")
         with pytest.raises(RigError, match="another rig command is writing"):

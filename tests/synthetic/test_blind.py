@@ -1,4 +1,4 @@
-"""Blind trials: what is sealed is what is scored, the truth stays closed to the diagnosis, and a season goes on where it stopped."""
+"""Blind cases: what is blinded is what is scored, the truth stays closed to the diagnosis, and a campaign goes on where it stopped."""
 
 import json
 import subprocess
@@ -15,7 +15,7 @@ from rig.effects import ALL, BY_NAME
 from rig.effects.check import check
 from rig.effects.parse import parse
 from rig.errors import FileError, RigError
-from synthetic import blind, outlaws, score, simulation, world
+from synthetic import blind, out_of_catalogue, score, simulation, world
 
 
 def test_a_schedule_deals_every_kind_and_every_effect_alike():
@@ -41,14 +41,14 @@ def test_every_effect_is_drawn_within_its_bounds(kind, design):
             effect.camera(design.cameras[0]), design.cameras[0])])) < 40 or effect.warp
 
 
-@pytest.mark.parametrize("kind", outlaws.OUTLAWS, ids=lambda kind: kind.name)
-def test_every_outlaw_changes_what_is_seen_and_is_in_no_catalogue(kind, design, monkeypatch):
-    monkeypatch.setattr(outlaws, "OUTLAWS", (kind,))
+@pytest.mark.parametrize("kind", out_of_catalogue.OUT_OF_CATALOGUE, ids=lambda kind: kind.name)
+def test_every_effect_out_of_the_catalogue_changes_what_is_seen_and_is_in_no_catalogue(kind, design, monkeypatch):
+    monkeypatch.setattr(out_of_catalogue, "OUT_OF_CATALOGUE", (kind,))
     rng = np.random.default_rng(2)
     route = plan.build(design, "moving:8,sobol:8", 1)
-    outlaw = outlaws.draw(design, route.t[-1], rng)
-    assert outlaw.name == kind.name and kind.name not in BY_NAME
-    secret = world.draw(design, rng, 1.0, (outlaw,))
+    foreign = out_of_catalogue.draw(design, route.t[-1], rng)
+    assert foreign.name == kind.name and kind.name not in BY_NAME
+    secret = world.draw(design, rng, 1.0, (foreign,))
     bent = simulation.simulate(secret, route, np.random.default_rng(5))
     plain = simulation.simulate(replace(secret, effects=()), route, np.random.default_rng(5))
     found, uv = simulation.sight(bent)
@@ -56,7 +56,7 @@ def test_every_outlaw_changes_what_is_seen_and_is_in_no_catalogue(kind, design, 
     assert 1e-4 < np.sqrt(np.mean(moved**2)) < 20
 
 
-@pytest.mark.parametrize("disturb", outlaws.DISTURBANCES, ids=lambda disturb: disturb.__name__)
+@pytest.mark.parametrize("disturb", out_of_catalogue.DISTURBANCES, ids=lambda disturb: disturb.__name__)
 def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     rng = np.random.default_rng(3)
     done = simulation.simulate(world.draw(design, rng), plan.build(design, "sobol:30"), rng)
@@ -65,16 +65,16 @@ def test_every_disturbance_adds_noise_and_no_shift(disturb, design):
     assert 0.02 < np.sqrt(np.mean(off**2)) < 3 and np.abs(np.median(off, axis=0)).max() < 0.02
 
 
-@pytest.mark.parametrize("blindfold, gone", [("temperature", "strut1_temperature_C"), ("payload", None), ("reversals", None), ("motion", None)])
-def test_a_blindfold_takes_away_what_it_says(blindfold, gone):
+@pytest.mark.parametrize("withheld, gone", [("temperature", "strut1_temperature_C"), ("payload", None), ("reversals", None), ("motion", None)])
+def test_what_is_withheld_is_away(withheld, gone):
     for index in (1, 2):
-        trial = blind.draw(6, index, 60, (blindfold,), ("nothing",))
-        assert gone not in trial.simulation.log.channels and "payload_mass_kg" in trial.simulation.log.channels
-        assert (blindfold not in ("payload",)) or not trial.simulation.log.channels["payload_mass_kg"].any()
-        if blindfold in ("motion", "reversals"):
-            assert "moving" not in trial.plan
-        if blindfold == "reversals":
-            path = machine.motion(trial.simulation.world.stated, trial.simulation.plan.commands, trial.simulation.plan.t).path
+        case = blind.draw(6, index, 60, (withheld,), ("nothing",))
+        assert gone not in case.simulation.log.channels and "payload_mass_kg" in case.simulation.log.channels
+        assert (withheld not in ("payload",)) or not case.simulation.log.channels["payload_mass_kg"].any()
+        if withheld in ("motion", "reversals"):
+            assert "moving" not in case.plan
+        if withheld == "reversals":
+            path = machine.motion(case.simulation.world.stated, case.simulation.plan.commands, case.simulation.plan.t).path
             step = np.diff(path.lengths, axis=0)
             for at in path.at:
                 last = [step[:at][step[:at, i] != 0, i][-1] for i in range(6)]
@@ -87,9 +87,9 @@ def test_the_truth_is_closed_to_a_diagnosis(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "truth")
     for path in ("truth/0001.json", "link/0001.json", "truth"):
         look = f"import os, pathlib; p = pathlib.Path({str(tmp_path / path)!r}); print(os.listdir(p) if p.is_dir() else p.read_text())"
-        code = f"from rig.commands.sealed import forbid; forbid({str(tmp_path / 'truth')!r}); {look}"
+        code = f"from rig.commands.withheld import forbid; forbid({str(tmp_path / 'truth')!r}); {look}"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert "is sealed" in done.stderr and "secret" not in done.stdout and "0001" not in done.stdout
+        assert "is withheld" in done.stderr and "secret" not in done.stdout and "0001" not in done.stdout
 
 
 def perfect(out, index):
@@ -109,40 +109,40 @@ def perfect(out, index):
     return index, 1.0, None
 
 
-def test_a_season_is_sealed_scored_and_goes_on(tmp_path, monkeypatch, capfd):
+def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     seen = []
     monkeypatch.setattr(command, "_diagnosed", lambda out, index: seen.append(index) or perfect(out, index))
     call = ["blind", "--season", "4", "--frames", "40", "--seed", "11", "--hide", "one,nothing", "--out", str(tmp_path / "s"), "--jobs", "1"]
-    assert cli.main([*call, "--trials", "1-2"]) == 0 and seen == [1, 2]
-    monkeypatch.setattr(command, "_sealed", command.seal)  # a process has been seen to do it
-    sealed = (tmp_path / "s" / "seals" / "0001.sha256").read_text()
-    assert cli.main([*call, "--trials", "1,3"]) == 0 and seen == [1, 2, 3]
-    assert (tmp_path / "s" / "seals" / "0001.sha256").read_text() == sealed
-    assert subprocess.run(["sha256sum", "-c", "0001.sha256"], cwd=tmp_path / "s" / "seals", capture_output=True).returncode == 0
+    assert cli.main([*call, "--cases", "1-2"]) == 0 and seen == [1, 2]
+    monkeypatch.setattr(command, "_drawn", command.blinded)  # a process has been seen to do it
+    blinded = (tmp_path / "s" / "hashes" / "0001.sha256").read_text()
+    assert cli.main([*call, "--cases", "1,3"]) == 0 and seen == [1, 2, 3]
+    assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
+    assert subprocess.run(["sha256sum", "-c", "0001.sha256"], cwd=tmp_path / "s" / "hashes", capture_output=True).returncode == 0
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
-    assert [t["trial"] for t in tree["trials"]] == [1, 2, 3]
-    assert all(h["outcome"] == "named and placed" for t in tree["trials"] for h in t["hidden"])
+    assert [t["case"] for t in tree["cases"]] == [1, 2, 3]
+    assert all(h["outcome"] == "named and placed" for t in tree["cases"] for h in t["hidden"])
     assert recording.load(tmp_path / "s" / "recordings" / "0003").corners is not None
     capfd.readouterr()
-    (tmp_path / "s" / "seals" / "0001.sha256").write_text("")
+    (tmp_path / "s" / "hashes" / "0001.sha256").write_text("")
     (tmp_path / "s" / "diagnoses" / "0002.json").write_text('{"seconds": 1')
-    assert cli.main([*call, "--trials", "1-3"]) == 0 and seen == [1, 2, 3, 1, 2]  # a disk that was full, a cut power line
+    assert cli.main([*call, "--cases", "1-3"]) == 0 and seen == [1, 2, 3, 1, 2]  # a disk that was full, a cut power line
     said = capfd.readouterr().err
-    assert "trial 1" in said and "is sealed anew" in said and "trial 2" in said and "is diagnosed anew" in said
-    assert (tmp_path / "s" / "seals" / "0001.sha256").read_text() == sealed
+    assert "case 1" in said and "is drawn anew" in said and "case 2" in said and "is diagnosed anew" in said
+    assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
     assert "<script" not in page and "http" not in page and "What was taken for what" in page
     capfd.readouterr()
-    assert cli.main([*call[:6], "12", *call[7:]]) == 1 and "holds another season, with seed 11 (not 12)" in capfd.readouterr().err
+    assert cli.main([*call[:6], "12", *call[7:]]) == 1 and "holds another campaign, with seed 11 (not 12)" in capfd.readouterr().err
     truth = tmp_path / "s" / "truth" / "0002.json"
     truth.write_text(truth.read_text().replace('"effects"', '"effects "', 1))
-    assert cli.main([*call, "--trials", "2"]) == 1 and "is not what was sealed" in capfd.readouterr().err
+    assert cli.main([*call, "--cases", "2"]) == 1 and "is not what was hashed" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("more, said", [(["--hide", "nothign"], "there is no 'nothign'"), (["--trials", "9"], "the season has trials 1 to 2"),
-                                        (["--trials", "a"], "not 'a'"), (["--frames", "3"], "at least 40"), (["--jobs", "0"], "at least 1"),
-                                        (["--effects", "play"], "there is no 'play'"), (["--blindfold", "eyes"], "there is no 'eyes'")])
-def test_a_wrong_season_is_refused_before_anything_is_written(more, said, tmp_path, capfd):
+@pytest.mark.parametrize("more, said", [(["--hide", "nothign"], "there is no 'nothign'"), (["--cases", "9"], "the campaign has cases 1 to 2"),
+                                        (["--cases", "a"], "not 'a'"), (["--frames", "3"], "at least 40"), (["--jobs", "0"], "at least 1"),
+                                        (["--effects", "play"], "there is no 'play'"), (["--withhold", "eyes"], "there is no 'eyes'")])
+def test_a_wrong_campaign_is_refused_before_anything_is_written(more, said, tmp_path, capfd):
     assert cli.main(["blind", "--season", "2", "--out", str(tmp_path / "s"), *more]) == 1
     assert said in capfd.readouterr().err and not (tmp_path / "s").exists()
 
@@ -163,7 +163,7 @@ def test_answers_are_judged():
     f = {g.name: (g.hits, g.trials) for g in score.figures([right, allowed, misplaced, wrong, missed, case(kind="nothing"),
                                                             case(kind="nothing", found=[("creep", "rig")])])}
     assert f["one effect: detected"] == (4, 5) and f["one effect: named first"] == (2, 5) and f["one effect: truth in the set"] == (3, 5)
-    assert f["one effect: at its place"] == (1, 5) and f["nothing hidden: no finding"] == (1, 2) and f["no wrong name in any trial"] == (5, 7)
+    assert f["one effect: at its place"] == (1, 5) and f["nothing hidden: no finding"] == (1, 2) and f["no wrong name in any case"] == (5, 7)
     assert score.confusion([right, allowed, wrong, missed])["servo_lag"] == {"servo_lag": 1, "time_offset": 1, "creep": 1, "nothing": 1}
     both = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), lag], "two")
     half = case([lag, ("backlash", "strut 1")], [("backlash", "strut 1"), ("creep", "rig")], "two")
@@ -189,7 +189,7 @@ def test_exact_intervals():
     assert score.clopper_pearson(0, 10) == (0.0, pytest.approx(1 - 0.025 ** (1 / 10))) and score.clopper_pearson(10, 10)[1] == 1.0
 
 
-def test_what_is_no_season_is_said(tmp_path):
+def test_what_is_no_campaign_is_said(tmp_path):
     (tmp_path / "t.json").write_text('{"effects": [')
     with pytest.raises(FileError, match="cut off"):
         score.case(1, tmp_path / "t.json", None)
@@ -218,30 +218,30 @@ def test_a_scheduler_without_dask_is_said(monkeypatch):
         pass
 
 
-def test_a_season_on_a_cluster(tmp_path):
+def test_a_campaign_on_a_cluster(tmp_path):
     from dask.distributed import LocalCluster
 
     with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
         assert cli.main(["blind", "--season", "1", "--frames", "40", "--hide", "nothing", "--out", str(tmp_path / "s"),
                          "--scheduler", cluster.scheduler_address]) == 0
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
-    assert [t["failed"] for t in tree["trials"]] == [None]
+    assert [t["failed"] for t in tree["cases"]] == [None]
 
 
 @pytest.mark.slow
-def test_a_season_end_to_end(tmp_path):
+def test_a_campaign_end_to_end(tmp_path):
     assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps",
                      "--out", str(tmp_path / "s")]) == 0
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
-    strong = [h["outcome"] for t in tree["trials"] for h in t["hidden"] if h["strength"] > 15]
-    assert len(tree["trials"]) == 3 and all(outcome == "named and placed" for outcome in strong)
+    strong = [h["outcome"] for t in tree["cases"] for h in t["hidden"] if h["strength"] > 15]
+    assert len(tree["cases"]) == 3 and all(outcome == "named and placed" for outcome in strong)
 
 
-def test_a_trial_in_images_draws_optics_and_prints_its_markers_within_tolerance():
-    trials = [blind.draw(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
-    assert {(t.eyes.width, t.eyes.height) for t in trials} == set(blind.blind_images.RESOLUTIONS)
-    assert {t.eyes.lens for t in trials} == set(blind.blind_images.LENSES) and all(t.eyes.lens in t.text for t in trials)
-    for t in trials:
+def test_a_case_in_images_draws_optics_and_prints_its_markers_within_tolerance():
+    cases = [blind.draw(8, index, 40, (), ("one",), (), True) for index in range(1, 7)]
+    assert {(t.eyes.width, t.eyes.height) for t in cases} == set(blind.blind_images.RESOLUTIONS)
+    assert {t.eyes.lens for t in cases} == set(blind.blind_images.LENSES) and all(t.eyes.lens in t.text for t in cases)
+    for t in cases:
         (hidden,), (*_, printed) = t.hidden, t.simulation.world.effects
         assert blind.blind_images.drawable(type(hidden)) and hidden in t.simulation.world.effects
         assert printed.name == "printing" and np.std(printed.offsets) < tolerances.PLACES.sigma * 1.3 and np.any(printed.offsets)
@@ -249,7 +249,7 @@ def test_a_trial_in_images_draws_optics_and_prints_its_markers_within_tolerance(
         assert 0.0005 < t.noise < 0.05 and len(blind.corners_of(t).frame) > 40
 
 
-def test_a_season_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
+def test_a_campaign_in_images_says_what_pictures_do_not_show(tmp_path, capsys):
     base = ["blind", "--season", "1", "--out", str(tmp_path / "s"), "--images"]
     assert cli.main([*base, "--effects", "edge_bias"]) != 0 and "pictures do not show edge_bias" in capsys.readouterr().err
     assert cli.main([*base, "--hide", "noise"]) != 0 and "--hide takes some of nothing, one, two" in capsys.readouterr().err

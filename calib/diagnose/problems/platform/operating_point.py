@@ -54,7 +54,7 @@ class OperatingPoint:
     finder : (cameras,) px by which the corner finder is taken to shift all edges of a camera's images, or () for nothing
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
-    log_errors : {channel: (n, q)} of the sensors' temperatures, see weather.smoothed
+    log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
     """
 
     design: Design

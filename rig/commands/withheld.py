@@ -1,4 +1,4 @@
-"""A folder that this process may not look into: what keeps a diagnosis from the truth of its trial."""
+"""A folder that this process may not look into: what keeps a diagnosis from the truth of its case."""
 
 import os
 import sys
@@ -15,6 +15,6 @@ def forbid(folder: str | Path) -> None:
         if event in WATCHED and given and isinstance(given[0], (str, bytes, os.PathLike)):
             path = os.path.realpath(os.fsdecode(given[0]))
             if path == closed or path.startswith(closed + os.sep):
-                raise PermissionError(f"{path} is sealed")
+                raise PermissionError(f"{path} is withheld from this process")
 
     sys.addaudithook(watch)

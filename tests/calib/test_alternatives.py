@@ -12,7 +12,7 @@ from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.platform import report
 from rig.effects import BY_NAME
 from rig.effects.candidate import Candidate, Linear
-from synthetic import outlaws
+from synthetic import out_of_catalogue
 from tests.calib.recorded import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
@@ -73,12 +73,12 @@ def test_a_step_soon_after_the_start_is_found(tmp_path, design):
 
 
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
-    rec = recorded(tmp_path, design, [outlaws.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
+    rec = recorded(tmp_path, design, [out_of_catalogue.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
     found = diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
     assert not found.effects and found.left[0].place == "strut 5"
 
 
-def test_an_effect_of_a_temperature_that_nobody_logged_is_among_the_rivals(tmp_path, design):
+def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives(tmp_path, design):
     rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
     found = diagnose(rec, only=["warm_up", "base_expansion"])
     named = {(f.score.candidate.name, *(a.score.candidate.name for a in f.alternatives)) for f in found.selection.findings}

@@ -1,6 +1,6 @@
-"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind trial may hide as well.
+"""Physics that the catalogue does not hold, and noise that is not what it should be: what a blind case may hide as well.
 
-An outlaw is an effect like any other, only that no diagnosis knows it; `draw` makes one of a plausible size. A disturbance
+An effect out of the catalogue is one like any other, only that no diagnosis knows it; `draw` makes one of a plausible size. A disturbance
 changes nothing but the noise of corners: there, too, nothing may be named.
 """
 
@@ -184,7 +184,7 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
 
 
 def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
-    """One outlaw of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
+    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
     radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean()
     stroke = np.ptp(design.mechanism.strut_range, axis=1).mean()
     strut = f"strut {rng.integers(1, 7)}"
@@ -194,7 +194,7 @@ def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
         rows = [np.r_[scale / np.sqrt(WAVES) * rng.normal(size=size), rng.uniform(1.5, 8) / duration, rng.uniform(0, 6.28)] for _ in range(WAVES)]
         return tuple(np.concatenate(rows).tolist())
 
-    name = OUTLAWS[rng.integers(len(OUTLAWS))]
+    name = OUT_OF_CATALOGUE[rng.integers(len(OUT_OF_CATALOGUE))]
     if name is CablePull:
         anchor = radius * np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.5, 1.5), rng.uniform(2.5, 4)])
         length = np.linalg.norm(anchor - design.mechanism.home.translation)
@@ -218,7 +218,7 @@ def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     return UnevenPrint("markers", tuple((_log(rng, 3e-4, 5e-3) * rng.normal(size=sum(len(t.ids) for t in design.targets))).tolist()))
 
 
-OUTLAWS = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
+OUT_OF_CATALOGUE = (CablePull, BendingStrut, WanderingBase, Crosstalk, SlippingClutch, Drag, BreathingLens, SwayingTripod, UnevenPrint)
 
 
 def air_shimmer(corners: Corners, design: Design, noise: float, rng: np.random.Generator) -> Corners:
