@@ -22,7 +22,7 @@ T = TypeVar("T")
 PATIENCE, SHORT_PATIENCE = 30.0, 3.0  # s of trying to connect anew; in order to stop
 POLL = 0.01  # s between looks at a moving rig
 STILL = 1.0  # s without coming nearer: standing
-NEARER = 1e-7  # m; less is noise of the read-back
+PROGRESS = 1e-7  # m; less is noise of the read-back
 STANDING = 1e-6  # m by which a rig that stands may seem to come nearer from one look to the next
 TRIES = 3  # times that a move is sent which the read-back shows was never begun
 
@@ -218,13 +218,13 @@ class Driver:
             if state.activity == "idle" and off <= self.controller.tolerance and (off <= STANDING or before - off <= STANDING):
                 return True
             before = off
-            if off < closest - NEARER:
+            if off < closest - PROGRESS:
                 closest, since = off, self.clock.now()
             elif self.clock.now() - since > STILL:
                 self._same()  # what was sent has been dealt with, and what is read now is no older answer
                 state = self._state()
                 lengths = self._lengths(state)
-                if np.abs(lengths - target).max() < closest - NEARER:
+                if np.abs(lengths - target).max() < closest - PROGRESS:
                     continue
                 if state.activity == "idle" and verdict.accepted is None and np.abs(lengths - start).max() < self.controller.tolerance:
                     return False

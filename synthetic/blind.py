@@ -141,7 +141,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     axes = mechanisms.places(design.mechanism)
     place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
              "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
-    sensors, _ = world.weather(float(route.t[-1]), np.random.default_rng(0), world.struts_of(design.mechanism))
+    sensors, _ = world.temperatures(float(route.t[-1]), np.random.default_rng(0), world.struts_of(design.mechanism))
     motion = machine.motion(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
     if reason:

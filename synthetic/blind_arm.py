@@ -123,7 +123,7 @@ def _level(design: Design, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Generator) -> Effect:
     """An effect at a random joint, its parameters over their usual ranges. Raises RigError where the arm lacks what it needs."""
-    sensors, _ = world.weather(float(route.t[-1]), np.random.default_rng(0), 0)
+    sensors, _ = world.temperatures(float(route.t[-1]), np.random.default_rng(0), 0)
     motion = machine.motion(design, route.commands, route.t, (), sensors)
     motion = replace(motion, T=mechanisms.of(design.mechanism).forward(motion.lengths, design.mechanism))
     place = str(rng.choice(mechanisms.places(design.mechanism)))

@@ -18,13 +18,13 @@ from synthetic.pictures import Images, picture
 from synthetic.simulation import Simulation
 from synthetic.world import World
 
-LONGEST = 24 * 3600.0  # s that the weather lasts; beyond it stays as it was
+LONGEST = 24 * 3600.0  # s that the temperatures lasts; beyond it stays as it was
 SOON, LATE = 0.02, 20.0  # s between looks at the history for what the struts did up to a moment, and until that is given up
 Told = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weather:
+class Temperatures:
     """true, log : Sensors, as it truly is and as thermometers have it."""
 
     true: Sensors
@@ -32,13 +32,13 @@ class Weather:
 
 
 class Eyes:
-    """What cameras and sensors of a world show. images : Images; seed : of weather and noise
+    """What cameras and sensors of a world show. images : Images; seed : of temperatures and noise
     told : the struts' history so far, (k,) s and (k, n) m, straight between; it is waited for until it reaches the moment of asking."""
 
     def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
         self._clock = clock
         self.world, self._images, self._seed, self._told, self._count = world, images, seed, told, 0
-        self._weather = Weather(*worlds.weather(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
+        self._temperatures = Temperatures(*worlds.temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
         self._start: float | None = None
 
     def image(self, name: str, t: float, exposure: float) -> np.ndarray:
@@ -57,7 +57,7 @@ class Eyes:
     def sensors(self, t: float) -> dict[str, float]:
         """{channel: value} as thermometers and measuring limbs read at t (s)."""
         now = self._now(t)
-        log = {name: float(np.interp(now.plan.t[0], self._weather.log.t, values)) for name, values in self._weather.log.channels.items()}
+        log = {name: float(np.interp(now.plan.t[0], self._temperatures.log.t, values)) for name, values in self._temperatures.log.channels.items()}
         limbs = self.world.true.insitu
         if limbs is None:
             return log
@@ -79,11 +79,11 @@ class Eyes:
         past = times < t
         at = np.array([np.interp(t, times, column) for column in lengths.T])
         commands = Commands(np.r_[times[past], t] - self._start, np.vstack([lengths[past], at]))
-        when, weather = np.array([t - self._start]), self._weather.true
+        when, warmth = np.array([t - self._start]), self._temperatures.true
         plan = Plan(commands, when, np.array([(0.0, 0.0)]))
-        loaded = replace(weather, channels={**weather.channels, "payload_mass_kg": np.zeros(len(weather.t))})
+        loaded = replace(warmth, channels={**warmth.channels, "payload_mass_kg": np.zeros(len(warmth.t))})
         run = machine.run(self.world.true, commands, when, self.world.effects, loaded, rates=machine.rolls(self.world.true, self.world.effects))
-        return Simulation(self.world, plan, loaded, self._weather.log, run)
+        return Simulation(self.world, plan, loaded, self._temperatures.log, run)
 
 
 class ToldByFile:

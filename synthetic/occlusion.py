@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import Design
 from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius
 
-NEAR = 2e-3  # m; what is nearer to the marker than this is the marker itself
+OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
 def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -17,7 +17,7 @@ def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, e
     """
     blocked = np.zeros(len(points), bool)
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
-    ends = points - (points - eye) / length * NEAR
+    ends = points - (points - eye) / length * OWN_DEPTH
     matrix = T_base_platform.as_matrix()
     if design.mechanism.kind == "hexapod":
         low = design.mechanism.base_joints

@@ -34,7 +34,7 @@ GRID = 16  # px between the points where the lens is undone exactly
 PAD = 3  # elements of the finer picture about a marker
 OUTLINE = np.linspace(0, 1, 9)[:-1]  # along each side of a marker, where its outline is looked at
 NUMBERS = 255  # parts with ink that a picture tells apart; two that share a number must not lie side by side
-NEAR, FAR = 0.02, 50.0  # m
+NEAR_PLANE, FAR_PLANE = 0.02, 50.0  # m
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes to OpenGL's
 PACKAGES = "libegl1 libgl1"
 
@@ -95,7 +95,7 @@ class Renderer:
         if focal != 1:
             pinhole = _Pinhole(_zoomed(pinhole.camera, focal))
         fx, fy, cx, cy = pinhole.intrinsics
-        view = self.pyrender.IntrinsicsCamera(fx, fy, cx + 0.5, cy + 0.5, znear=NEAR, zfar=FAR)
+        view = self.pyrender.IntrinsicsCamera(fx, fy, cx + 0.5, cy + 0.5, znear=NEAR_PLANE, zfar=FAR_PLANE)
         self.eye = self.scene.add(view, pose=T @ TO_OPENGL)
         self.renderer.viewport_width, self.renderer.viewport_height = pinhole.size
         flags = self.pyrender.RenderFlags.FLAT | self.pyrender.RenderFlags.SKIP_CULL_FACES
@@ -122,7 +122,7 @@ class Renderer:
         around = np.concatenate([n * np.stack([OUTLINE, 0 * OUTLINE]), n * np.stack([1 + 0 * OUTLINE, OUTLINE]),
                                  n * np.stack([1 - OUTLINE, 1 + 0 * OUTLINE]), n * np.stack([0 * OUTLINE, 1 - OUTLINE])], axis=1)
         outline = G @ np.concatenate([around, np.ones((1, around.shape[1]))])
-        if outline[2].min() <= NEAR:
+        if outline[2].min() <= NEAR_PLANE:
             return
         box = pinhole.box(outline.T)
         if box is not None:

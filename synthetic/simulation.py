@@ -53,9 +53,9 @@ class Simulation:
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator) -> Simulation:
-    """Simulation of a world under a plan: the weather is drawn, the machine run. Raises what `machine.run` raises."""
+    """Simulation of a world under a plan: the temperatures is drawn, the machine run. Raises what `machine.run` raises."""
     duration = plan.commands.t[-1]
-    true, log = worlds.weather(duration, rng, worlds.struts_of(world.true.mechanism))
+    true, log = worlds.temperatures(duration, rng, worlds.struts_of(world.true.mechanism))
     sensors, log = logged(plan, true), logged(plan, log)
     run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=machine.rolls(world.true, world.effects))
     if world.true.insitu is not None:

@@ -61,7 +61,7 @@ def struts_of(mechanism: Hexapod | Planar2 | Arm) -> int:
     return len(mechanism.axes) if mechanisms.of(mechanism).AXIS == "strut" else 0
 
 
-def weather(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
+def temperatures(duration: float, rng: np.random.Generator, struts: int = 6) -> tuple[Sensors, Sensors]:
     """(true Sensors, logged Sensors) over a duration (s): the room drifts by a kelvin or two, struts warm up by as much again.
 
     Channels ambient_temperature_C and, for so many struts, strut1_temperature_C ..; the log is the truth every LOG_EVERY s, with noise.

@@ -79,11 +79,11 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
             raise
     if measured is not None and (places == "stated" or not (contradicted or doubtful(measured, markers))):
         return measured
-    freed = measure(observed, design, markers, loose, progress, t)
-    if contradicted and not any(move.moved for move in moves(freed.adjustment)):  # it was the cameras that were not where they are stated
-        freed = measure(observed, design, markers, free, progress, t, freed.design.cameras)
-    if measured is None or len(freed.frames) > len(measured.frames) or freed.noise < HALVED * measured.noise:
-        return freed
+    loosened = measure(observed, design, markers, loose, progress, t)
+    if contradicted and not any(move.moved for move in moves(loosened.adjustment)):  # it was the cameras that were not where they are stated
+        loosened = measure(observed, design, markers, free, progress, t, loosened.design.cameras)
+    if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:
+        return loosened
     return measured
 
 

@@ -16,7 +16,7 @@ from rig.errors import Unreachable
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference
 
-NEAR = 4  # visited configurations tried as a start before any other
+STARTS = 4  # visited configurations tried as a start before any other
 ITERATIONS = 40
 TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
 STEP = 0.3  # rad; longest single correction
@@ -86,12 +86,12 @@ class ArmCorrection(Correction[Arm, Profile]):
         return mechanism.wrapped(commands, self.nominal, commands), left
 
     def _near(self, T: RigidTransform) -> np.ndarray:
-        """(m, NEAR, joints) visited configurations whose poses are nearest to T (m,), nearest first."""
+        """(m, STARTS, joints) visited configurations whose poses are nearest to T (m,), nearest first."""
         at = self.predict(self.visited)
         vectors, matrices = at.translation, at.rotation.as_matrix()
         out = []
         for position, R in zip(T.translation, T.rotation.as_matrix()):
             turn = np.arccos(np.clip((np.einsum("mij,ij->m", matrices, R) - 1) / 2, -1, 1))
             far = np.linalg.norm(vectors - position, axis=1) + RADIUS * turn
-            out.append(self.visited[np.argsort(far)[:NEAR]])
+            out.append(self.visited[np.argsort(far)[:STARTS]])
         return np.array(out).reshape(len(T), -1, self.visited.shape[1])

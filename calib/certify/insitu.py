@@ -20,7 +20,7 @@ from rig.pose import difference, vector
 from rig.recording import LIMBS as CHANNELS, Recording
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-NEAR = 0.5  # s; readings further apart about an exposure say nothing of it
+LONGEST_GAP = 0.5  # s; readings further apart about an exposure say nothing of it
 FOLDS = 4  # stretches in time, each judged by limbs that were fitted to the others
 COVERAGE = 1.96  # standard deviations: the limits that 95 % of differences keep
 MOVES = 20.0  # tolerances over which each axis must move for its agreement to be shown
@@ -99,9 +99,9 @@ def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     frames, t = recording.exposures.times()
     after = np.clip(np.searchsorted(sensors.t, t), 1, len(sensors.t) - 1)
     exact = np.isclose(sensors.t[after], t, atol=1e-6) | np.isclose(sensors.t[after - 1], t, atol=1e-6)
-    good = exact | ((sensors.t[after] - sensors.t[after - 1] <= NEAR) & (sensors.t[0] <= t) & (t <= sensors.t[-1]))
+    good = exact | ((sensors.t[after] - sensors.t[after - 1] <= LONGEST_GAP) & (sensors.t[0] <= t) & (t <= sensors.t[-1]))
     if not good.any():
-        raise NotEnoughData(f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within {NEAR:g} s before and after it")
+        raise NotEnoughData(f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within {LONGEST_GAP:g} s before and after it")
     return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in CHANNELS], axis=1)
 
 

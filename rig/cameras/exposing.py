@@ -7,7 +7,7 @@ import numpy as np
 from rig.cameras.source import CameraError, Source
 
 WHITE = 200.0  # of 255, where the markers' white is brought to
-NEAR = 0.1  # of that; no nearer is needed
+WHITE_SLACK = 0.1  # share of that which is off without harm
 CLIPPED = 250.0  # of 255; brighter than this may be anything
 CLIPS = 0.005  # share of the markers' pixels that may be brighter
 STEPS = 8  # of setting and looking
@@ -25,7 +25,7 @@ def expose_well(source: Source, white: Callable[[np.ndarray], tuple[float, float
     for _ in range(STEPS):
         level, clips = white(source.grab().image)
         bright = clips > CLIPS or level >= CLIPPED
-        if not bright and abs(level - WHITE) <= NEAR * WHITE:
+        if not bright and abs(level - WHITE) <= WHITE_SLACK * WHITE:
             return exposure, level
         if bright:
             high = exposure

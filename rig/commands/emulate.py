@@ -35,7 +35,7 @@ def arguments(parser: ArgumentParser) -> None:
                         'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
     parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
                         "for --cameras (default: all is as RIG.toml says)")
-    parser.add_argument("--seed", type=int, default=0, help="of the faults, the weather and the noise of images")
+    parser.add_argument("--seed", type=int, default=0, help="of the faults, the temperatures and the noise of images")
 
 
 def run(arguments: Namespace) -> None:

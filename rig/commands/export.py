@@ -31,7 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
-    from rig.export import genhexkins, sheet, urdf
+    from rig.export import genhexkins, geometry, urdf
     from rig.files import write_text
 
     mechanism, remainder, lead = _machine(arguments.machine)
@@ -48,8 +48,8 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, lead, arguments.coupling),
-            "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: sheet.as_json(mechanism),
-            "csv": lambda: sheet.as_csv(mechanism)}[arguments.format]()
+            "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: geometry.as_json(mechanism),
+            "csv": lambda: geometry.as_csv(mechanism)}[arguments.format]()
     if remainder:
         print(f"rig export: the calibration corrects axes {', '.join(map(str, remainder))} beyond the geometry; {arguments.format} cannot hold that, "
               "use `rig correct` where it matters", file=sys.stderr)

@@ -51,7 +51,7 @@ def _separate(arguments: Namespace) -> None:
     from rig import design_file, writing
     from rig.effects.parse import parse, placed
     from rig.plan import build, logged
-    from synthetic.world import weather
+    from synthetic.world import temperatures
 
     design = design_file.load(arguments.design)
     effects = [placed(parse(text), design) for text in arguments.separate]
@@ -65,7 +65,7 @@ def _separate(arguments: Namespace) -> None:
     trials = []
     for text in (*MOVES, *(",".join(pair) for pair in combinations(MOVES, 2))):
         plan = build(design, text, SEED)
-        sensors, _ = weather(plan.commands.t[-1], np.random.default_rng(SEED))
+        sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
         trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
     trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
     print("misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):")

@@ -33,7 +33,7 @@ def arguments(parser: ArgumentParser) -> None:
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
     kind.add_argument("--corners", action="store_true", help="write corners.csv (the default)")
-    parser.add_argument("--seed", type=int, default=0, help="of the secret machine, the weather and the noise")
+    parser.add_argument("--seed", type=int, default=0, help="of the secret machine, the temperatures and the noise")
     parser.add_argument("--secret", type=float, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
     parser.add_argument("--machine", type=Path, metavar="TRUTH", help="take the machine, its cameras and effects from this truth file")
     parser.add_argument("--out", metavar="REC", type=Path, required=True)

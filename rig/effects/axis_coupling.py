@@ -44,5 +44,5 @@ class AxisCoupling(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         places = context.moved().places
-        shapes = [{"other": float(i + 1)} for i, other in enumerate(places) if other != place]
-        return [Candidate(cls, place, shapes, cls.linear(place), extra=1)] if shapes else []
+        nodes = [{"other": float(i + 1)} for i, other in enumerate(places) if other != place]
+        return [Candidate(cls, place, nodes, cls.linear(place), extra=1)] if nodes else []

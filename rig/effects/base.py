@@ -184,8 +184,8 @@ class Effect:
         """Candidates at a place: by default every linear parameter a column, and a grid of what its roles leave to be searched."""
         parameters = [p.at(place) for p in cls.parameters]
         grids = {p.name: grid(p, context.t) for p in parameters if p.role in ("size", "log", "even", "moment")}
-        shapes = [dict(zip(grids, values)) for values in product(*grids.values())]
-        return [Candidate(cls, place, shapes, cls.linear(place), extra=len(grids))]
+        nodes = [dict(zip(grids, values)) for values in product(*grids.values())]
+        return [Candidate(cls, place, nodes, cls.linear(place), extra=len(grids))]
 
     @classmethod
     def linear(cls, place: str) -> list[Linear]:
@@ -195,10 +195,10 @@ class Effect:
         return columns + [Linear(QUADRATURE, None, step(next(q for q in parameters if q.role == "linear"))) for p in parameters if p.role == "phase"]
 
     @classmethod
-    def composed(cls, candidate: Candidate, shape: dict, coefficients: np.ndarray) -> "Effect":
-        """The effect of a Candidate's shape with coefficients (q,) of its linear parameters."""
-        values, by = dict(shape), {p.name: p for p in cls.parameters}
-        vectors = {name: np.zeros(by[name].size or shape[COUNT]) for name, index, _ in candidate.linear if index is not None}
+    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Effect":
+        """The effect of a Candidate's node with coefficients (q,) of its linear parameters."""
+        values, by = dict(node), {p.name: p for p in cls.parameters}
+        vectors = {name: np.zeros(by[name].size or node[COUNT]) for name, index, _ in candidate.linear if index is not None}
         for (name, index, _), c in zip(candidate.linear, coefficients):
             if name == QUADRATURE:
                 amplitude = next(p.name for p in cls.parameters if p.role == "linear")
@@ -214,15 +214,15 @@ class Effect:
         return cls(candidate.place, **values, **{name: tuple(v.tolist()) for name, v in vectors.items()})
 
     @classmethod
-    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
         """(n, axes, q): see Candidate.deviation. The model is linear in these, so that a small step of each tells all."""
         if not candidate.linear:
-            return candidate.effect(shape, np.zeros(0)).deviation(motion)[..., None]
+            return candidate.effect(node, np.zeros(0)).deviation(motion)[..., None]
         out = []
         for j, column in enumerate(candidate.linear):
             unit = np.zeros(len(candidate.linear))
             unit[j] = column.step
-            out.append(candidate.effect(shape, unit).deviation(motion) / column.step)
+            out.append(candidate.effect(node, unit).deviation(motion) / column.step)
         return np.stack(out, axis=-1)
 
     @classmethod

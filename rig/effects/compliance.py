@@ -87,8 +87,8 @@ class Compliance(Effect):
         kept = distinct(table)
         if not len(kept):
             return []
-        shape = {"_count": table.shape[1]}
-        return [Candidate(cls, place, [shape], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
+        node = {"_count": table.shape[1]}
+        return [Candidate(cls, place, [node], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
 
     @classmethod
     def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Compliance":
@@ -101,9 +101,9 @@ class Compliance(Effect):
         return cls(place, moments=tuple((moments / stiffness).ravel().tolist()))
 
     @classmethod
-    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
-        if "_count" not in shape:
-            return super(Compliance, cls).columns(candidate, shape, motion)
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+        if "_count" not in node:
+            return super(Compliance, cls).columns(candidate, node, motion)
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, len(candidate.linear)))
         out[:, i] = -motion.links()[:, i][:, [column.index for column in candidate.linear]]

@@ -54,4 +54,4 @@ class CyclicError(Effect):
         travel = max(np.ptp(context.moved().lengths[:, context.moved().places.index(place)]), 1e-6)
         spacing = FINE * 2 * np.pi / travel
         orders = spacing * np.arange(int(np.ceil(max(SLOWEST, np.pi / travel) / spacing)), int(ORDERS / spacing))
-        return [replace(found[0], shapes=[{"order": float(w)} for w in orders], spacing=spacing)] if len(orders) else []
+        return [replace(found[0], grid=[{"order": float(w)} for w in orders], spacing=spacing)] if len(orders) else []

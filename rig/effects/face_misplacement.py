@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.effects.base import Effect, Parameter
-from rig.effects.sheet import moved
+from rig.effects.placement import moved
 from rig.pose import exp
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.effects.base import Effect, Parameter
 from rig.effects.drawing import Drawing
-from rig.effects.sheet import moved
+from rig.effects.placement import moved
 from rig.pose import exp
 
 

@@ -16,7 +16,7 @@ class Parameter:
     joint : (bounds, usual) at a joint, whose travel is rad, where these are not those of a strut
 
     role : how the effect depends on it, for those who search: "linear", "inverse" (its reciprocal enters linearly), "size"
-    (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a shape's
+    (nothing at zero, but not linear), "phase" (of a sinusoid that a linear parameter scales), "log" or "even" (a node's
     parameter, to be searched over `usual` on a scale of that kind), "moment" (a time, s from the recording's start), "frequency",
     "direction" (of which only the direction counts), "choice" (given or chosen, never fitted)
     """

@@ -36,4 +36,4 @@ class TimeOffset(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         jumped = replace(super(TimeOffset, cls).candidates(place, context)[0], label="jump")
-        return [replace(jumped, shapes=[{}], label="", extra=0), jumped]
+        return [replace(jumped, grid=[{}], label="", extra=0), jumped]

@@ -73,14 +73,14 @@ class TransmissionError(Effect):
         return cls(place, tuple((profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()))
 
     @classmethod
-    def _of(cls, place: str, shape: dict, p: Parameter) -> Candidate:
-        return Candidate(cls, place, [shape], [Linear(p.name, j, step(p)) for j in range(shape[COUNT])], f"{shape[COUNT]} knots")
+    def _of(cls, place: str, node: dict, p: Parameter) -> Candidate:
+        return Candidate(cls, place, [node], [Linear(p.name, j, step(p)) for j in range(node[COUNT])], f"{node[COUNT]} knots")
 
     @classmethod
-    def columns(cls, candidate: Candidate, shape: dict, motion: Motion) -> np.ndarray:
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
         i = motion.places.index(candidate.place)
-        out = np.zeros((*motion.lengths.shape, shape[COUNT]))
-        out[:, i] = basis(motion.lengths[:, i], shape.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(shape[COUNT]))
+        out = np.zeros((*motion.lengths.shape, node[COUNT]))
+        out[:, i] = basis(motion.lengths[:, i], node.get("span") or motion.kind.travel(motion.mechanism)[i], np.eye(node[COUNT]))
         return out
 
 

@@ -79,11 +79,11 @@ class Vibration(Effect):
         return [Candidate(cls, place, [{}], columns, extra=1, tied=5)]  # of twelve, a direction (6) and a phase are free
 
     @classmethod
-    def composed(cls, candidate: Candidate, shape: dict, coefficients: np.ndarray) -> "Vibration":
+    def composed(cls, candidate: Candidate, node: dict, coefficients: np.ndarray) -> "Vibration":
         """Of twelve coefficients (six directions of the sine, then of the cosine), the one direction and phase that make most of them up."""
         u, s, vt = np.linalg.svd(np.reshape(coefficients, (2, 6)), full_matrices=False)
         size = np.linalg.norm(vt[0, :3]) or 1.0
-        return cls(candidate.place, float(s[0] * size), mode=tuple(vt[0].tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **shape).written()
+        return cls(candidate.place, float(s[0] * size), mode=tuple(vt[0].tolist()), phase=float(np.arctan2(u[1, 0], u[0, 0])), **node).written()
 
 
 def one_direction(b: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray]:

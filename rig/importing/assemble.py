@@ -18,7 +18,7 @@ from rig.importing.commands import Commanded, commands
 from rig.importing.dialect import read
 from rig.importing.frames import Exposed
 from rig.importing.poses import Posed, poses
-from rig.importing.recipe import Recipe, Sheet
+from rig.importing.recipe import Recipe, ForeignTable
 from rig.importing.sensors import Logged, sensors
 from rig.observed import Poses
 from rig.origin import DIGITS
@@ -28,7 +28,7 @@ from rig.writing import write_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
 Like = Callable[[np.ndarray], bool]
-NEAR = 0.05  # s that a pose may be from its frame
+SAME_MOMENT = 0.05  # s that a pose may be from its frame
 SPANS = (0.02, 50.0)  # of another file's span, that a file's may have
 LISTED = 20
 
@@ -64,8 +64,8 @@ def assemble(recipe: Recipe) -> Imported:
     commanded = _clocked(exposed, commanded)
     logged = sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     _together(exposed, commanded)
-    recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.sheet if commanded else None,
-                     poses=posed.sheet if posed else None, sensors=logged.sheet if logged else None)
+    recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
+                     poses=posed.table if posed else None, sensors=logged.table if logged else None)
     said = tuple(dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
     return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said)
 
@@ -90,28 +90,28 @@ def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: 
         at = dict(zip(commanded.frame.astype(int).tolist(), commanded.t))
         missing = [n for n in numbers if n not in at]
         if missing:
-            raise RigError(f"{commanded.sheet.file}: frame {missing[0]}, of which there are images, has no row")
-        said = f"images belong to the rows of {commanded.sheet.file.name} with their number, and were taken at the rows' times"
+            raise RigError(f"{commanded.table.file}: frame {missing[0]}, of which there are images, has no row")
+        said = f"images belong to the rows of {commanded.table.file.name} with their number, and were taken at the rows' times"
     elif len(numbers) == len(commanded.t):
         at = dict(zip(numbers, commanded.t))
-        said = (f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.sheet.file.name}, in order, and were taken at the rows' "
+        said = (f"the {len(numbers)} frames belong to the {len(numbers)} rows of {commanded.table.file.name}, in order, and were taken at the rows' "
                 "times")
     else:
-        raise RigError(f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.sheet.file}: which belongs to which? Give a table "
+        raise RigError(f"there are {len(numbers)} frames and {len(commanded.t)} rows of {commanded.table.file}: which belongs to which? Give a table "
                        "of the frames' times: --frames FILE.csv (frame or image, t)")
     return replace(exposed, t=[at[n] for n in exposed.frame], said=(*exposed.said, said)), recipe
 
 
-def _by_table(exposed: Exposed, recipe: Recipe, sheet: Sheet, like: Like) -> tuple[Exposed, Recipe]:
+def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like) -> tuple[Exposed, Recipe]:
     """The exposures with the times that a table gives frames or images."""
-    cells = read(sheet, "frames")
+    cells = read(table, "frames")
     found = columns.find(cells, "frames", {"t": columns.TIME, "frame": columns.FRAME, "image": columns.IMAGE, "camera": columns.CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
         raise RigError(f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which")
     unit = units.split(cells.header[found["t"]])[1]
-    t = times.read(cells.column(found["t"]), "frames", sheet.file.name, sheet.time_unit or (unit if unit in units.TIMES else None),
-                   sheet.zone, sheet.shift, like)
-    resolved = replace(cells.sheet, columns=columns.kept(sheet, cells, found), time_unit=t.unit, zone=t.zone)
+    t = times.read(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in units.TIMES else None),
+                   table.zone, table.shift, like)
+    resolved = replace(cells.table, columns=columns.kept(table, cells, found), time_unit=t.unit, zone=t.zone)
     if "image" in found:
         parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
         at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
@@ -163,10 +163,10 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
             t = [Decimal(k) for k in range(n)]
             said = (*said, "nothing tells times, so a row is taken as a second: nothing that depends on time can be told from this")
         if t is None:
-            raise RigError(f"{posed.sheet.file}: the poses have no times, and the commands are not as many as they")
+            raise RigError(f"{posed.table.file}: the poses have no times, and the commands are not as many as they")
         numbers = list(range(n)) if posed.frame is None else posed.frame.astype(int).tolist()
         if len(set(numbers)) < n:
-            raise RigError(f"{posed.sheet.file}: a frame is there twice")
+            raise RigError(f"{posed.table.file}: a frame is there twice")
         order = sorted(range(n), key=lambda k: (t[k], numbers[k]))
         if [numbers[k] for k in order] != sorted(numbers):
             numbers = [int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))]
@@ -176,13 +176,14 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
     if posed.frame is None and posed.t is not None:
         known_frames, at = list(known), list(known.values())
         nearest = [min(range(len(at)), key=lambda k: abs(at[k] - s)) for s in posed.t]
-        far = [k for k, near in enumerate(nearest) if abs(at[near] - posed.t[k]) > NEAR]
+        far = [k for k, near in enumerate(nearest) if abs(at[near] - posed.t[k]) > SAME_MOMENT]
         if far:
-            raise RigError(f"{posed.sheet.file}: {len(far)} of {n} poses are farther than {NEAR:g} s from any frame; the first is row {far[0] + 1}")
+            raise RigError(f"{posed.table.file}: {len(far)} of {n} poses are farther than {SAME_MOMENT:g} s from any frame; "
+                           f"the first is row {far[0] + 1}")
         posed = replace(posed, frame=np.array([known_frames[k] for k in nearest]))
     elif posed.frame is None:
         if n != len(known):
-            raise RigError(f"{posed.sheet.file}: {n} poses and {len(known)} frames: which belongs to which? A column frame or t says so")
+            raise RigError(f"{posed.table.file}: {n} poses and {len(known)} frames: which belongs to which? A column frame or t says so")
         posed = replace(posed, frame=np.array(sorted(known)), said=(*posed.said, f"the {n} poses belong to the {n} frames, in order"))
     return exposed, posed
 
@@ -195,8 +196,8 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     if commanded.frame is not None and set(commanded.frame.astype(int).tolist()) <= set(at):
         return replace(commanded, t=[at[int(n)] for n in commanded.frame])
     if len(at) != len(commanded.values):
-        raise RigError(f"{commanded.sheet.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; a column t says when")
-    return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.sheet.file.name} are the frames', in order"))
+        raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; a column t says when")
+    return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"))
 
 
 def _together(exposed: Exposed, commanded: Commanded | None) -> None:

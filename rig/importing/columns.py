@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from rig.errors import FileError, RigError
 from rig.importing.dialect import Cells
-from rig.importing.recipe import Sheet
+from rig.importing.recipe import ForeignTable
 from rig.importing.units import split
 from rig.outside import shown
 
@@ -32,7 +32,7 @@ def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required
 
     known : {our name: what a header may be called}; required : that must be there. Raises RigError for what is missing or there twice
     """
-    stated = dict(cells.sheet.columns)
+    stated = dict(cells.table.columns)
     found: dict[str, int] = {}
     for ours, names in known.items():
         if ours in stated:
@@ -54,6 +54,6 @@ def find(cells: Cells, section: str, known: dict[str, tuple[str, ...]], required
     return found
 
 
-def kept(sheet: Sheet, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
+def kept(table: ForeignTable, cells: Cells, found: dict[str, int]) -> tuple[tuple[str, str], ...]:
     """The columns as a recipe keeps them."""
     return tuple((ours, cells.header[at]) for ours, at in found.items())

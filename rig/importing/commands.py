@@ -12,37 +12,37 @@ from rig.errors import RigError
 from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
 from rig.importing.dialect import Cells, read
-from rig.importing.recipe import Sheet
+from rig.importing.recipe import ForeignTable
 from rig.mistakes.clocks import FASTEST, SLOWEST, USUAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commanded:
-    """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None; sheet : Sheet as found out."""
+    """t : n exact s, or None where the table has none; values : (n, axes) m or rad; frame : (n,) int or None; table : ForeignTable as found out."""
 
     t: list[Decimal] | None
     values: np.ndarray
     frame: np.ndarray | None
-    sheet: Sheet
+    table: ForeignTable
     said: tuple[str, ...]
 
 
-def commands(sheet: Sheet, design: Design) -> Commanded:
+def commands(table: ForeignTable, design: Design) -> Commanded:
     """Commanded of a table. Raises RigError for what cannot be used and for what reads well in two ways."""
     axes = design.mechanism.axes
     if not axes:
-        raise RigError(f'{sheet.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
-    cells = read(sheet, "commands")
+        raise RigError(f'{table.file}: nothing can be commanded of a mechanism of kind "{design.mechanism.kind}"')
+    cells = read(table, "commands")
     found = columns.find(cells, "commands", {"t": columns.TIME, "frame": columns.FRAME, **columns.axes(axes)}, axes)
-    values, sheet, told = _values(cells, [found[name] for name in axes], replace(cells.sheet, columns=columns.kept(sheet, cells, found)), design)
+    values, table, told = _values(cells, [found[name] for name in axes], replace(cells.table, columns=columns.kept(table, cells, found)), design)
     frame = None if "frame" not in found else np.array(cells.numbers(found["frame"]))
     t, said = None, (*cells.said, *told)
     if "t" in found:
-        stated = sheet.time_unit or _time_unit(cells.header[found["t"]])
-        read_times = times.read(cells.column(found["t"]), "commands", sheet.file.name, stated, sheet.zone, sheet.shift, _pace(values, design))
+        stated = table.time_unit or _time_unit(cells.header[found["t"]])
+        read_times = times.read(cells.column(found["t"]), "commands", table.file.name, stated, table.zone, table.shift, _pace(values, design))
         t, said = read_times.seconds, (*said, *read_times.said)
-        sheet = replace(sheet, time_unit=read_times.unit, zone=read_times.zone)
-    return Commanded(t, values, frame, sheet, said)
+        table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
+    return Commanded(t, values, frame, table, said)
 
 
 def _time_unit(header: str) -> str | None:
@@ -50,60 +50,61 @@ def _time_unit(header: str) -> str | None:
     return stated if stated in units.TIMES else None
 
 
-def _values(cells: Cells, at: list[int], sheet: Sheet, design: Design) -> tuple[np.ndarray, Sheet, tuple[str, ...]]:
-    """((n, axes) m or rad, Sheet with the unit, sentences)."""
+def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
-    stated = {sheet.unit or units.split(cells.header[k])[1] for k in at}
+    stated = {table.unit or units.split(cells.header[k])[1] for k in at}
     if len(stated) > 1:
-        raise RigError(f"{sheet.file}: its columns are in different units ({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
+        raise RigError(f"{table.file}: its columns are in different units ({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
                        "bring them to one unit, or state it: --set commands.unit=mm")
     unit = stated.pop()
     kind = units.ANGLES if design.mechanism.kind == "arm" else units.LENGTHS
     if unit is not None and unit not in (*kind, "steps"):
-        raise RigError(f"{sheet.file}: {unit} is no unit of {'angles' if kind is units.ANGLES else 'lengths'}; there are {', '.join(kind)}, steps")
+        raise RigError(f"{table.file}: {unit} is no unit of {'angles' if kind is units.ANGLES else 'lengths'}; there are {', '.join(kind)}, steps")
     if kind is units.ANGLES:
-        return _angles(values, unit, sheet, design.mechanism.limits)
+        return _angles(values, unit, table, design.mechanism.limits)
     if unit == "steps":
-        if sheet.steps_per_mm is None:
-            raise RigError(f"{sheet.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N")
-        values = values / sheet.steps_per_mm
+        if table.steps_per_mm is None:
+            raise RigError(f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N")
+        values = values / table.steps_per_mm
     m = design.mechanism
     home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
-    return _lengths(values, unit, sheet, m.strut_range, home)
+    return _lengths(values, unit, table, m.strut_range, home)
 
 
-def _angles(values: np.ndarray, unit: str | None, sheet: Sheet, limits: np.ndarray) -> tuple[np.ndarray, Sheet, tuple[str, ...]]:
+def _angles(values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     fit = units.angles(values, limits, ("rad", "deg") if unit is None else (unit,))
     said = f"angles run from {values.min():.6g} to {values.max():.6g}"
     if unit is None and len(fit) > 1:
-        raise ambiguous(f"{sheet.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
+        raise ambiguous(f"{table.file}: the unit of its angles is not stated, {said}, and both lie within the limits of rig.toml",
                         [(f"up to {np.degrees(np.abs(values).max() / units.ANGLES[u]):.4g} degrees", f"commands.unit={u}") for u in fit])
     if unit is None and not fit:
-        raise RigError(f"{sheet.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set commands.unit=deg states one")
-    told = () if unit else (f"{sheet.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
-    return values / units.ANGLES[unit or fit[0]], replace(sheet, unit=unit or fit[0]), told
+        raise RigError(f"{table.file}: {said}, which is beyond the limits in rig.toml in radians and in degrees; --set commands.unit=deg states one")
+    told = () if unit else (f"{table.file.name}: angles are in {fit[0]}, as they are beyond the joints' limits otherwise",)
+    return values / units.ANGLES[unit or fit[0]], replace(table, unit=unit or fit[0]), told
 
 
-def _lengths(values: np.ndarray, unit: str | None, sheet: Sheet, ranges: np.ndarray, home: np.ndarray) -> tuple[np.ndarray, Sheet, tuple[str, ...]]:
+def _lengths(values: np.ndarray, unit: str | None, table: ForeignTable, ranges: np.ndarray,
+             home: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     asked = ("mm",) if unit == "steps" else tuple(units.LENGTHS) if unit is None else (unit,)
-    fit = units.lengths(values, ranges, home, asked, ("zero", "home") if sheet.relative is None else (sheet.relative,))
+    fit = units.lengths(values, ranges, home, asked, ("zero", "home") if table.relative is None else (table.relative,))
     better = [(u, r) for u, r in fit if units.likely(values, ranges, u, r)]
     fit = better if len(better) == 1 else fit
-    said = (f"{sheet.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
+    said = (f"{table.file}: lengths run from {values.min():.6g} to {values.max():.6g}{' mm' if unit == 'steps' else ''}, "
             f"and rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m")
     names = {"zero": "joint to joint", "home": "from home"}
     if len(fit) > 1 and {u for u, _ in fit} - {fit[0][0]}:
         raise ambiguous(f"{said}: they fit in several units", [(f"{u}, {names[r]}", f"commands.unit={u}") for u, r in fit])
     if len(fit) > 1:
         raise ambiguous(f"{said}: they fit both ways", [(names[r], f"commands.relative={r}") for _, r in fit])
-    if not fit and (unit is None or sheet.relative is None):
+    if not fit and (unit is None or table.relative is None):
         raise RigError(f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and home, or state both: "
                        "--set commands.unit=mm --set commands.relative=zero")
-    u, r = fit[0] if fit else (asked[0], sheet.relative)
+    u, r = fit[0] if fit else (asked[0], table.relative)
     q = values / units.LENGTHS[u] + (home if r == "home" else 0.0)
-    told = () if unit and sheet.relative else (f"{sheet.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
+    told = () if unit and table.relative else (f"{table.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
                                                f"{'' if unit else ', as within strut_range and about its size in no other'}",)
-    return q, replace(sheet, unit=unit or u, relative=r), told
+    return q, replace(table, unit=unit or u, relative=r), told
 
 
 def _pace(values: np.ndarray, design: Design) -> Callable[[np.ndarray], bool]:

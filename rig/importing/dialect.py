@@ -8,7 +8,7 @@ from pathlib import Path
 from rig.entries import LARGEST_NUMBER
 from rig.errors import FileError
 from rig.importing.ambiguous import ambiguous
-from rig.importing.recipe import DECIMALS, SEPARATORS, Sheet
+from rig.importing.recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.outside import read_bytes, shown
 
 LARGEST = 1 << 27  # bytes
@@ -26,13 +26,13 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 @dataclass(frozen=True, slots=True)
 class Cells:
     """A table as text. path; header : n names; rows : lists of n texts, decimals with a point; lines : of the file, from 1
-    sheet : Sheet with separator and decimal; said : sentences about what was found out."""
+    table : ForeignTable with separator and decimal; said : sentences about what was found out."""
 
     path: Path
     header: tuple[str, ...]
     rows: list[list[str]]
     lines: list[int]
-    sheet: Sheet
+    table: ForeignTable
     said: tuple[str, ...]
 
     def column(self, at: int) -> list[str]:
@@ -49,35 +49,35 @@ class Cells:
         return float(cell)
 
 
-def read(sheet: Sheet, name: str) -> Cells:
+def read(table: ForeignTable, name: str) -> Cells:
     """Cells of a table. name : of its section in a recipe, as settings call it
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
     """
-    content, words = _decoded(sheet.file)
-    lines = _lines(sheet.file, content)
+    content, words = _decoded(table.file)
+    lines = _lines(table.file, content)
     fits: list[Cells] = []
-    for separator in SEPARATORS if sheet.separator is None else (sheet.separator,):
-        for decimal in DECIMALS if sheet.decimal is None else (sheet.decimal,):
-            found = _parsed(sheet, lines, separator, decimal)
+    for separator in SEPARATORS if table.separator is None else (table.separator,):
+        for decimal in DECIMALS if table.decimal is None else (table.decimal,):
+            found = _parsed(table, lines, separator, decimal)
             if found is not None:
                 fits.append(found)
     if not fits:
-        raise FileError(sheet.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
+        raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
                         "decimal points or commas; its separator and decimal can be stated: "
                         f"--set {name}.separator=semicolon --set {name}.decimal=comma")
     first = fits[0]
     others = [other for other in fits[1:] if other.rows != first.rows or other.header != first.header]
     if others:
         def setting(one: Cells) -> str:
-            key = "decimal" if one.sheet.separator == first.sheet.separator else "separator"
-            return f"{name}.{key}={getattr(one.sheet, key)}"
+            key = "decimal" if one.table.separator == first.table.separator else "separator"
+            return f"{name}.{key}={getattr(one.table, key)}"
 
-        raise ambiguous(f"{sheet.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
-            (f"{one.sheet.separator}s between, decimal {one.sheet.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
+        raise ambiguous(f"{table.file}: line {first.lines[0]} can be read in {len(others) + 1} ways", [
+            (f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
             for one in (first, *others)])
-    _no_groups(sheet, first, lines, name)
-    return Cells(first.path, first.header, first.rows, first.lines, first.sheet, (*words, *first.said))
+    _no_groups(table, first, lines, name)
+    return Cells(first.path, first.header, first.rows, first.lines, first.table, (*words, *first.said))
 
 
 def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
@@ -117,7 +117,7 @@ def _lines(path: Path, content: str) -> list[tuple[int, str]]:
     return lines
 
 
-def _parsed(sheet: Sheet, lines: list[tuple[int, str]], separator: str, decimal: str) -> Cells | None:
+def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, decimal: str) -> Cells | None:
     """Cells as one dialect has them, or None where it does not fit all rows."""
     try:
         rows = [_split(line, separator) for _, line in lines[: LOOKED_AT + 1]]
@@ -130,13 +130,13 @@ def _parsed(sheet: Sheet, lines: list[tuple[int, str]], separator: str, decimal:
     numbers = [number for number, _ in lines[1:]]
     odd = next((i for i, row in enumerate(body) if len(row) != len(header) or any(len(cell) > LONGEST_CELL for cell in row)), None)
     if odd is not None and len(body[odd]) == len(header):
-        raise FileError(sheet.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
+        raise FileError(table.file, f"a cell has more than {LONGEST_CELL} characters", numbers[odd])
     if odd is not None:
-        raise FileError(sheet.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
+        raise FileError(table.file, f"{len(body[odd])} cells in a table of {len(header)} columns", numbers[odd])
     kept = [k for k, name in enumerate(header) if name or any(row[k] for row in body)]  # a separator at the ends of lines makes an empty column
     body = [[_point(row[k], decimal) for k in kept] for row in body]
-    told = () if sheet.separator and sheet.decimal else (f"{sheet.file.name}: {separator}s between the cells, decimal {decimal}s",)
-    return Cells(sheet.file, tuple(header[k] for k in kept), body, numbers, replace(sheet, separator=separator, decimal=decimal), told)
+    told = () if table.separator and table.decimal else (f"{table.file.name}: {separator}s between the cells, decimal {decimal}s",)
+    return Cells(table.file, tuple(header[k] for k in kept), body, numbers, replace(table, separator=separator, decimal=decimal), told)
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -165,12 +165,12 @@ def _point(cell: str, decimal: str) -> str:
     return cell.replace(",", ".") if decimal == "comma" and NUMBER["comma"].fullmatch(cell) else cell
 
 
-def _no_groups(sheet: Sheet, found: Cells, lines: list[tuple[int, str]], name: str) -> None:
+def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], name: str) -> None:
     """Raise RigError where every decimal comma could as well part thousands."""
-    if sheet.decimal is not None or found.sheet.decimal != "comma":
+    if table.decimal is not None or found.table.decimal != "comma":
         return
-    cells = [cell for _, line in lines[1:] for cell in _split(line, found.sheet.separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
+    cells = [cell for _, line in lines[1:] for cell in _split(line, found.table.separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
     if cells and all(GROUPED.fullmatch(cell) for cell in cells):
-        raise ambiguous(f"{sheet.file}: {cells[0]} can be read in two ways",
+        raise ambiguous(f"{table.file}: {cells[0]} can be read in two ways",
                         [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),
                          (f"{cells[0].replace(',', '')}, thousands parted (take the commas out of the file)", f"{name}.decimal=point")])

@@ -13,7 +13,7 @@ from rig.errors import RigError
 from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
 from rig.importing.dialect import Cells, read
-from rig.importing.recipe import EULER, Sheet
+from rig.importing.recipe import EULER, ForeignTable
 from rig.mechanisms import hexapod
 
 POSITION = {"x": ("x", "tx", "px", "posx", "positionx", "xpos"), "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
@@ -38,55 +38,55 @@ class Posed:
     alone: bool
     frame: np.ndarray | None
     t: list[Decimal] | None
-    sheet: Sheet
+    table: ForeignTable
     said: tuple[str, ...]
 
 
 Asked = Callable[[list[Decimal] | None, np.ndarray | None, int], np.ndarray | None]
 
 
-def poses(sheet: Sheet, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
+def poses(table: ForeignTable, design: Design, commanded: Asked, plausible: Callable[[np.ndarray], bool]) -> Posed:
     """Posed of a table. Raises RigError for what reads well in two ways.
 
     commanded : of n rows' (times, frame numbers, n) what was commanded, (n, 6) m, or None where that is not known
     plausible : whether times (n,) s from the first can be so
     """
-    cells = read(sheet, "poses")
+    cells = read(table, "poses")
     found = columns.find(cells, "poses", {"t": columns.TIME, "frame": columns.FRAME, **POSITION, **VECTOR, **EULERS, **QUATERNION, **NUMBERED},
                          ("x", "y", "z"))
-    sheet = replace(cells.sheet, columns=columns.kept(sheet, cells, found))
-    p, sheet, said = _positions(cells, found, sheet, design)
+    table = replace(cells.table, columns=columns.kept(table, cells, found))
+    p, table, said = _positions(cells, found, table, design)
     t = None
     if "t" in found:
         stated = units.split(cells.header[found["t"]])[1]
-        read_times = times.read(cells.column(found["t"]), "poses", sheet.file.name, sheet.time_unit or (stated if stated in units.TIMES else None),
-                                sheet.zone, sheet.shift, plausible)
-        t, said, sheet = read_times.seconds, (*said, *read_times.said), replace(sheet, time_unit=read_times.unit, zone=read_times.zone)
+        read_times = times.read(cells.column(found["t"]), "poses", table.file.name, table.time_unit or (stated if stated in units.TIMES else None),
+                                table.zone, table.shift, plausible)
+        t, said, table = read_times.seconds, (*said, *read_times.said), replace(table, time_unit=read_times.unit, zone=read_times.zone)
     frame = np.array(cells.numbers(found["frame"])) if "frame" in found else None
-    rotations, sheet, more = _rotations(cells, found, sheet, design, p, commanded(t, frame, len(p)))
+    rotations, table, more = _rotations(cells, found, table, design, p, commanded(t, frame, len(p)))
     alone = rotations is None
     T = RigidTransform.from_components(p, Rotation.identity(len(p)) if alone else rotations)
-    return Posed(T, alone, frame, t, sheet, (*cells.said, *said, *more))
+    return Posed(T, alone, frame, t, table, (*cells.said, *said, *more))
 
 
-def _positions(cells: Cells, found: dict[str, int], sheet: Sheet, design: Design) -> tuple[np.ndarray, Sheet, tuple[str, ...]]:
+def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     values = np.array([cells.numbers(found[name]) for name in "xyz"]).T
-    stated = {sheet.unit or units.split(cells.header[found[name]])[1] for name in "xyz"}
+    stated = {table.unit or units.split(cells.header[found[name]])[1] for name in "xyz"}
     unit = stated.pop()
     if stated or (unit is not None and unit not in units.LENGTHS):
-        raise RigError(f"{sheet.file}: x, y, z must be in one unit of {', '.join(units.LENGTHS)}; --set poses.unit=mm states it")
+        raise RigError(f"{table.file}: x, y, z must be in one unit of {', '.join(units.LENGTHS)}; --set poses.unit=mm states it")
     said: tuple[str, ...] = ()
     if unit is None:
         size, far = _size(design), float(np.median(np.linalg.norm(values, axis=1)))
         fit = [u for u in ("m", "mm") if REACH[0] * size <= far / units.LENGTHS[u] <= REACH[1] * size]
         if len(fit) != 1:
-            raise ambiguous(f"{sheet.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
+            raise ambiguous(f"{table.file}: the unit of its positions is not stated, and they lie {far:.6g} from the origin in the middle",
                             [(u, f"poses.unit={u}") for u in ("m", "mm")])
-        unit, said = fit[0], (f"{sheet.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
+        unit, said = fit[0], (f"{table.file.name}: positions are in {fit[0]}, as the rig measures some {size:.2g} m",)
     p = values / units.LENGTHS[unit]
     if np.abs(p).max() > LARGEST_RIG:
-        raise RigError(f"{sheet.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit")
-    return p, replace(sheet, unit=unit), said
+        raise RigError(f"{table.file}: a position of {np.abs(p).max():g} m is implausible; --set poses.unit=mm states another unit")
+    return p, replace(table, unit=unit), said
 
 
 def _size(design: Design) -> float:
@@ -96,25 +96,25 @@ def _size(design: Design) -> float:
     return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
 
 
-def _rotations(cells: Cells, found: dict[str, int], sheet: Sheet, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
-    """(Rotation (n,) or None where there are none, Sheet, sentences)."""
+def _rotations(cells: Cells, found: dict[str, int], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+    """(Rotation (n,) or None where there are none, ForeignTable, sentences)."""
     group = next((g for g in (QUATERNION, EULERS, NUMBERED, VECTOR) if len(set(g) & set(found)) >= 3), None)
     if group is None:
-        return None, sheet, (f"{sheet.file.name} has positions alone, no rotations",)
+        return None, table, (f"{table.file.name} has positions alone, no rotations",)
     names = [name for name in group if name in found]
     values = np.array([cells.numbers(found[name]) for name in names]).T
     if group in (QUATERNION, NUMBERED):
-        ways = _quaternions(values, names, group is QUATERNION, sheet)
+        ways = _quaternions(values, names, group is QUATERNION, table)
     else:
-        ways = _angles(values, names, {units.split(cells.header[found[name]])[1] for name in names}, group is EULERS, sheet)
+        ways = _angles(values, names, {units.split(cells.header[found[name]])[1] for name in names}, group is EULERS, table)
     if not ways:
-        raise RigError(f"{sheet.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes rotvec, quaternion-wxyz, "
+        raise RigError(f"{table.file}: {', '.join(names)} are no rotations as stated; --set poses.rotation= takes rotvec, quaternion-wxyz, "
                        "quaternion-xyzw, or an order of Euler angles as zyx (fixed axes) or ZYX (moving axes)")
     if len(ways) == 1:
         rotation, unit, R = ways[0]
-        told = () if sheet.rotation else (f"{sheet.file.name}: rotations are {_name(rotation, unit)}",)
-        return R, replace(sheet, rotation=rotation, rotation_unit=unit), told
-    return _by_commands(ways, sheet, design, p, q)
+        told = () if table.rotation else (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
+        return R, replace(table, rotation=rotation, rotation_unit=unit), told
+    return _by_commands(ways, table, design, p, q)
 
 
 def _name(rotation: str, unit: str | None) -> str:
@@ -123,19 +123,19 @@ def _name(rotation: str, unit: str | None) -> str:
     return f"rotation vectors in {unit}" if rotation == "rotvec" else f"{rotation}s"
 
 
-def _quaternions(values: np.ndarray, names: list[str], named: bool, sheet: Sheet) -> list[tuple]:
+def _quaternions(values: np.ndarray, names: list[str], named: bool, table: ForeignTable) -> list[tuple]:
     if values.shape[1] != 4 or (np.abs(np.linalg.norm(values, axis=1) - 1) > UNIT).any():
-        raise RigError(f"{sheet.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
+        raise RigError(f"{table.file}: {', '.join(names)} are no quaternions: four figures whose squares sum to one")
     if named:
         return [("quaternion-wxyz", None, Rotation.from_quat(values[:, [1, 2, 3, 0]]))]
     ways = {"quaternion-wxyz": values[:, [1, 2, 3, 0]], "quaternion-xyzw": values}
-    return [(way, None, Rotation.from_quat(v)) for way, v in ways.items() if sheet.rotation in (None, way)]
+    return [(way, None, Rotation.from_quat(v)) for way, v in ways.items() if table.rotation in (None, way)]
 
 
-def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, sheet: Sheet) -> list[tuple]:
+def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler: bool, table: ForeignTable) -> list[tuple]:
     """Readings of three figures: vectors or Euler angles, in rad or degrees. Columns of Euler angles: about x, y, z in that order."""
-    unit = sheet.rotation_unit or next(iter(stated - {None}), None)
-    asked = (sheet.rotation,) if sheet.rotation else (*(() if euler else ("rotvec",)), *USUAL)
+    unit = table.rotation_unit or next(iter(stated - {None}), None)
+    asked = (table.rotation,) if table.rotation else (*(() if euler else ("rotvec",)), *USUAL)
     found = []
     for u in (unit,) if unit else ("rad", "deg"):
         v = values / units.ANGLES[u]
@@ -149,7 +149,7 @@ def _angles(values: np.ndarray, names: list[str], stated: set[str | None], euler
     return found
 
 
-def _by_commands(ways: list[tuple], sheet: Sheet, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
+def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.ndarray, q: np.ndarray | None) -> tuple:
     """The reading with which the commands agree; zyx about fixed axes is XYZ about moving ones, and of the same the first counts."""
     distinct: list[tuple] = []
     for way in ways:
@@ -162,12 +162,12 @@ def _by_commands(ways: list[tuple], sheet: Sheet, design: Design, p: np.ndarray,
         ranked = sorted(distinct, key=lambda way: miss(way[2]))
         if len(ranked) == 1 or miss(ranked[0][2]) < BETTER * miss(ranked[1][2]):
             rotation, unit, R = ranked[0]
-            return R, replace(sheet, rotation=rotation, rotation_unit=unit), (
-                f"{sheet.file.name}: rotations are {_name(rotation, unit)}, which agree with the commands to {miss(R) * 1e3:.3g} mm",)
+            return R, replace(table, rotation=rotation, rotation_unit=unit), (
+                f"{table.file.name}: rotations are {_name(rotation, unit)}, which agree with the commands to {miss(R) * 1e3:.3g} mm",)
     if len(distinct) == 1:
         rotation, unit, R = distinct[0]
-        return R, replace(sheet, rotation=rotation, rotation_unit=unit), (f"{sheet.file.name}: rotations are {_name(rotation, unit)}",)
-    units_too = [f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not sheet.rotation_unit else "" for way in distinct]
-    raise ambiguous(f"{sheet.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
+        return R, replace(table, rotation=rotation, rotation_unit=unit), (f"{table.file.name}: rotations are {_name(rotation, unit)}",)
+    units_too = [f"' --set 'poses.rotation_unit={way[1]}" if way[1] and not table.rotation_unit else "" for way in distinct]
+    raise ambiguous(f"{table.file}: its rotations can be read in {len(distinct)} ways, and nothing here decides (the first pose turned by)",
                     [(f"{_name(way[0], way[1])} ({np.degrees(way[2][0].magnitude()):.4g} degrees)", f"poses.rotation={way[0]}{unit}")
                      for way, unit in zip(distinct, units_too)])

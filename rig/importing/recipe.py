@@ -22,7 +22,7 @@ NUMBERS = ("steps_per_mm", "shift", "tolerance")
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class ForeignTable:
     """One foreign table. None : not stated, to be found out; columns : pairs (our name, their header)
 
     relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as +01:00, of ISO
@@ -63,10 +63,10 @@ class Recipe:
 
     rig: Path
     images: Images | None = None
-    commands: Sheet | None = None
-    poses: Sheet | None = None
-    sensors: Sheet | None = None
-    frames: Sheet | None = None
+    commands: ForeignTable | None = None
+    poses: ForeignTable | None = None
+    sensors: ForeignTable | None = None
+    frames: ForeignTable | None = None
     said: tuple[str, ...] = field(default=(), compare=False)
 
 
@@ -119,7 +119,7 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
         if key not in ("schema", "rig", "images", "said", *TABLES):
             root.fail(f"unknown key {shown(key)}; there are rig, images, {', '.join(TABLES)}", key)
     return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None,
-                  *(_sheet(root.table(name), folder) if name in root.tree else None for name in TABLES))
+                  *(_foreign_table(root.table(name), folder) if name in root.tree else None for name in TABLES))
 
 
 def _known(entries: Entries, kind: type) -> None:
@@ -142,13 +142,13 @@ def _images(e: Entries, folder: Path) -> Images:
                   _pairs(e, "cameras"))
 
 
-def _sheet(e: Entries, folder: Path) -> Sheet:
+def _foreign_table(e: Entries, folder: Path) -> ForeignTable:
     from rig.importing.units import ALL
 
-    _known(e, Sheet)
+    _known(e, ForeignTable)
     if "file" not in e.tree:
         e.fail(f"{e.name('file')} is missing: settings of a table that is not imported")
-    return Sheet(folder / e.text("file"), e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
+    return ForeignTable(folder / e.text("file"), e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
                  e.text("time_unit", TIMES, None), e.text("zone", default=None), e.number("shift", 0.0), e.text("unit", tuple(ALL), None),
                  e.text("relative", ("zero", "home"), None), e.number("steps_per_mm", None, above=0.0),
                  e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None), _pairs(e, "columns"))

@@ -11,7 +11,7 @@ from rig.entries import name_problem
 from rig.errors import RigError
 from rig.importing import columns, times, units
 from rig.importing.dialect import read
-from rig.importing.recipe import Sheet
+from rig.importing.recipe import ForeignTable
 
 TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "C": lambda v: v, "K": lambda v: v - 273.15, "F": lambda v: (v - 32) / 1.8, "kg": lambda v: v, "g": lambda v: v / 1000,
@@ -25,18 +25,18 @@ class Logged:
 
     t: list[Decimal]
     channels: tuple[tuple[str, np.ndarray], ...]
-    sheet: Sheet
+    table: ForeignTable
     said: tuple[str, ...]
 
 
-def sensors(sheet: Sheet, plausible: Callable[[np.ndarray], bool]) -> Logged:
+def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Logged:
     """Logged of a table. plausible : whether times (n,) s from the first can be so. Raises RigError for what cannot be used"""
-    cells = read(sheet, "sensors")
-    stated = {header: ours for ours, header in sheet.columns if ours != "t"}
+    cells = read(table, "sensors")
+    stated = {header: ours for ours, header in table.columns if ours != "t"}
     found = columns.find(cells, "sensors", {"t": columns.TIME}, ("t",))
     unit = units.split(cells.header[found["t"]])[1]
-    read_times = times.read(cells.column(found["t"]), "sensors", sheet.file.name, sheet.time_unit or (unit if unit in units.TIMES else None),
-                            sheet.zone, sheet.shift, plausible)
+    read_times = times.read(cells.column(found["t"]), "sensors", table.file.name, table.time_unit or (unit if unit in units.TIMES else None),
+                            table.zone, table.shift, plausible)
     channels, kept, renamed = [], [("t", cells.header[found["t"]])], []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
@@ -44,17 +44,17 @@ def sensors(sheet: Sheet, plausible: Callable[[np.ndarray], bool]) -> Logged:
         unit = units.split(header)[1]
         name = stated.get(header) or _name(header, unit)
         if name_problem(name):
-            raise RigError(f"{sheet.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
+            raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
         if name in dict(channels) or name == "t":
-            raise RigError(f"{sheet.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
+            raise RigError(f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
         channels.append((name, TO_SI.get(unit, lambda v: v)(np.array(cells.numbers(at)))))
         kept.append((name, header))
         if name != header:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")
             renamed.append(f"{header} is {name}" + (f", from {unit}" if converted else ""))
-    said = (f"{sheet.file.name}: {'; '.join(renamed)}",) if renamed else ()
+    said = (f"{table.file.name}: {'; '.join(renamed)}",) if renamed else ()
     return Logged(read_times.seconds, tuple(channels),
-                  replace(cells.sheet, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone), (*cells.said, *read_times.said, *said))
+                  replace(cells.table, columns=tuple(kept), time_unit=read_times.unit, zone=read_times.zone), (*cells.said, *read_times.said, *said))
 
 
 def _name(header: str, unit: str | None) -> str:

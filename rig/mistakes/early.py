@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterator
 
-from rig.mistakes import clocks, folder, lengths, stated, weather
+from rig.mistakes import clocks, environment, folder, lengths, stated
 from rig.mistakes.mistake import Mistake, in_order
 from rig.recording import Recording
 
@@ -17,7 +17,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     r, design = recording, recording.design
     yield from stated.written(tomllib.loads((r.folder / "rig.toml").read_text(encoding="utf-8-sig")))
     yield from stated.figures(design)
-    yield from weather.environment(design)
+    yield from environment.surroundings(design)
     times = {"frames.csv": r.exposures.times()[1]}
     if r.commands is not None:
         times["commands.csv"] = r.commands.t
@@ -28,7 +28,7 @@ def _all(recording: Recording) -> Iterator[Mistake]:
             yield from clocks.pace(r.commands.t, r.commands.values, times["frames.csv"], unit, design.actuator.max_speed if unit == "m" else None)
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t
-        yield from weather.sensors(r.sensors, design)
+        yield from environment.sensors(r.sensors, design)
     yield from clocks.between(times)
     yield from clocks.repeated(times["frames.csv"])
     yield from folder.unused(r)

@@ -10,7 +10,6 @@ from rig.mistakes.mistake import Mistake
 from rig.recording import Commands
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre
-NEAR = 0.25  # share by which a middle may differ from the middle of the range
 MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, that is no slip of a limit
 
 

@@ -12,12 +12,12 @@ from rig.mechanisms import arm as mechanism
 from rig.posture import search
 
 STEPS = 200  # of a motion on the way
-NEAR = 1e-9  # rad; end of a motion
+THERE = 1e-9  # rad; end of a motion
 
 
 def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm) -> np.ndarray:
     """(k, n) rad: the self-motion from q (n,) to goal (n,), hand held still. Raises RigError where none within the limits leads there."""
-    if np.abs(goal - q).max() < NEAR:
+    if np.abs(goal - q).max() < THERE:
         return np.array([q])
     path = search.trace(q, arm)
     start = int(np.abs(path - q).max(axis=1).argmin())

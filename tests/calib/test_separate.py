@@ -7,14 +7,14 @@ from calib.diagnose.problems.platform.separation import separation
 from rig import cli
 from rig.effects.parse import parse
 from rig.plan import build, logged
-from synthetic.world import weather
+from synthetic.world import temperatures
 
 SIGMA = (1e-5, 1e-4)
 
 
 def told_apart(design, text, *effects):
     plan = build(design, text, 3)
-    sensors, _ = weather(plan.commands.t[-1], np.random.default_rng(3))
+    sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(3))
     return separation(text, design, plan.commands, plan.t, logged(plan, sensors), [parse(e) for e in effects], SIGMA)
 
 

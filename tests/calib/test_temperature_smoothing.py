@@ -13,7 +13,7 @@ from calib.diagnose.problems.platform.temperatures import widened
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from rig.effects.parse import parse
 from rig.recording import Sensors
-from synthetic.world import weather
+from synthetic.world import temperatures
 from tests.calib.recorded import recorded
 
 FAR = 8.0
@@ -22,7 +22,7 @@ FAR = 8.0
 def test_a_smooth_temperature_loses_most_of_its_noise():
     errors = []
     for seed in range(20):
-        true, log = weather(2400, np.random.default_rng(seed))
+        true, log = temperatures(2400, np.random.default_rng(seed))
         kept, _ = smoothed(log)
         errors += [[np.std(s.channels[name] - true.channels[name]) for s in (log, kept)] for name in true.channels]
     before, after = np.sqrt(np.mean(np.square(errors), axis=0))

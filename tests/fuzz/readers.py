@@ -23,7 +23,7 @@ from rig.errors import RigError
 from rig.exposures import load_exposures
 from rig.images import check_image
 from rig.importing import frames
-from rig.importing.recipe import Sheet
+from rig.importing.recipe import ForeignTable
 from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.pose import TRIANGLE
 from synthetic import score, simulation, world
@@ -151,9 +151,10 @@ def _foreign(folder, design):
                  for line in lines if line.strip("/. ")]
         return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
 
-    return [Reader("foreign commands", (german, plain), lambda path: importing.commands.commands(Sheet(path), design)),
-            Reader("foreign poses", (turns, angles), lambda path: importing.poses.poses(Sheet(path, rotation_unit="deg", rotation="zyx") if b"roll" in
-                   path.read_bytes() else Sheet(path), design, lambda *_: None, lambda t: True)),
-            Reader("foreign sensors", (log,), lambda path: importing.sensors.sensors(Sheet(path), lambda t: True)),
+    return [Reader("foreign commands", (german, plain), lambda path: importing.commands.commands(ForeignTable(path), design)),
+            Reader("foreign poses", (turns, angles), lambda path: importing.poses.poses(
+                ForeignTable(path, rotation_unit="deg", rotation="zyx") if b"roll" in
+                path.read_bytes() else ForeignTable(path), design, lambda *_: None, lambda t: True)),
+            Reader("foreign sensors", (log,), lambda path: importing.sensors.sensors(ForeignTable(path), lambda t: True)),
             Reader("recipe", (recipe,), importing.load),
             Reader("names of images", (b"cam0_1763800000123.png\ncam1_1763800000125.png\ncam0_1763800001123.png", b"cam0/1.png\ncam1/1.png"), names)]

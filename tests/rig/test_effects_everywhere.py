@@ -97,7 +97,7 @@ def test_columns_are_the_derivatives_of_the_model(there, kind):
     rng = np.random.default_rng(2)
     for place in kind.sites(context)[-2:]:
         for candidate in kind.candidates(place, context):
-            shape = candidate.shapes[len(candidate.shapes) // 2]
+            shape = candidate.grid[len(candidate.grid) // 2]
             columns = candidate.deviation(shape, context.motion)
             assert columns.shape == (*context.motion.lengths.shape, max(len(candidate.linear), 1))
             coefficients = np.array([column.step for column in candidate.linear]) * rng.uniform(0.5, 2, len(candidate.linear))
@@ -125,7 +125,7 @@ def test_what_a_machine_lacks_is_said(design):
         with pytest.raises(RigError, match=says):
             machine.run(*bare[:3], [parse(text)], bare[3])
     found = [c for name in ("compliance", "joint_clearance") for kind in ALL if kind.name == name for c in kind.candidates("joint 2", context)]
-    assert len(found) == 2 and all(c.shapes for c in found)  # the weight of its links is linear in what is not stated
+    assert len(found) == 2 and all(c.grid for c in found)  # the weight of its links is linear in what is not stated
 
 
 def test_effects_that_show_on_the_way_are_not_asked_for_at_rest(design):

@@ -14,7 +14,7 @@ from rig import machine, plan
 from rig.design import Arm, Hexapod
 from rig.effects.parse import parse
 from rig.errors import RigError
-from rig.export import genhexkins, sheet, urdf
+from rig.export import genhexkins, geometry, urdf
 from rig.mechanisms import hexapod
 from rig.pose import difference, pose
 from synthetic import world
@@ -61,12 +61,12 @@ def test_genhexkins_refuses_what_it_cannot_hold(true):
 
 def test_sheets_hold_every_bit_of_a_hexapod(true):
     m = true.mechanism
-    tree = json.loads(sheet.as_json(m))
+    tree = json.loads(geometry.as_json(m))
     again = Hexapod(tree["base_joints"], tree["platform_joints"], tree["strut_range"], pose(tree["home"]["position"], tree["home"]["rotvec"]),
                     tree["strut_zeros"])
     lengths = plan.low_discrepancy(m.strut_range, 20)
     np.testing.assert_allclose(difference(hexapod.forward(lengths, m), hexapod.forward(lengths, again)), 0, atol=1e-14)
-    rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(sheet.as_csv(m))))[1:]])
+    rows = np.array([[float(cell) for cell in row] for row in list(csv.reader(io.StringIO(geometry.as_csv(m))))[1:]])
     from_rows = Hexapod(rows[:, 1:4], rows[:, 4:7], rows[:, 8:10], m.home, rows[:, 7])
     np.testing.assert_allclose(difference(hexapod.forward(lengths, m), hexapod.forward(lengths, from_rows)), 0, atol=1e-11)
 
@@ -106,6 +106,6 @@ def driven(text, angles):
 
 def test_arms_have_sheets_too():
     arm = Arm(ARMS["six joints"], [[-3, 3]] * 6)
-    assert json.loads(sheet.as_json(arm))["joints"] == arm.joints.tolist()
-    rows = list(csv.reader(io.StringIO(sheet.as_csv(arm))))
+    assert json.loads(geometry.as_json(arm))["joints"] == arm.joints.tolist()
+    rows = list(csv.reader(io.StringIO(geometry.as_csv(arm))))
     assert rows[0][0] == "joint" and len(rows) == 7 and float(rows[3][2]) == 0.15 and float(rows[3][5]) == 0

@@ -70,10 +70,10 @@ def test_low_discrepancy_covers_evenly(design):
 
 
 def test_payload_steps_are_logged(design):
-    from synthetic.world import weather
+    from synthetic.world import temperatures
 
     found = plan.build(design, "payload:4")
-    _, log = weather(found.commands.t[-1], np.random.default_rng(0))
+    _, log = temperatures(found.commands.t[-1], np.random.default_rng(0))
     sensors = plan.logged(found, log)
     load = sensors.at(found.t, "payload_mass_kg")
     assert load[:4].tolist() == [0] * 4 and (load[4:8] > 1).all() and load[8:].tolist() == [0] * 4

@@ -16,7 +16,7 @@ from vision.targets import SQUARE, MarkerMap
 KINDS = {"charuco": "charuco:COLUMNSxROWS:SQUARE:MARKER:DICTIONARY (squares; m, m)",
          "aruco": "aruco:COLUMNSxROWS:SIDE:GAP:DICTIONARY (markers; m, m)"}
 NEIGHBOURS = 4  # markers next to a chessboard corner from which it is guessed
-NEAR = 1.6  # squares to them
+NEIGHBOUR_DISTANCE = 1.6  # squares, the farthest that they are
 LARGEST = 5.0  # m
 
 
@@ -116,7 +116,7 @@ def see(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     rows, out, left_out = [], [], []
     for row, point in enumerate(board.points[:, :2]):
         distance = np.linalg.norm(middles - point, axis=1) / board.pitch
-        near = [i for i in np.argsort(distance)[:NEIGHBOURS] if distance[i] < NEAR]
+        near = [i for i in np.argsort(distance)[:NEIGHBOURS] if distance[i] < NEIGHBOUR_DISTANCE]
         if not near:
             continue
         H, _ = cv2.findHomography((corners[near].reshape(-1, 2) - point) / board.pitch, quads[near].reshape(-1, 2))

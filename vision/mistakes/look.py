@@ -29,7 +29,7 @@ DONE = 0.5  # px; a mistake that leaves less explains all
 SEARCH = 8.0  # s of processor time, after which no more mistakes are tried before a measurement
 THOROUGH = 40.0  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
-NEARER = 0.25  # of that, which a mistake named may leave
+MENDED = 0.25  # of that, which a mistake named may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
 MOVING = 120  # frames whose poses are held against the commands
 Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
@@ -165,7 +165,7 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
         what = min(ways[k], key=lambda way: ways[k][way])
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
-        said = what if ways[k][what] < max(1.0, NEARER * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
+        said = what if ways[k][what] < max(1.0, MENDED * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
         found.append(Mistake(f"rig.toml: camera {stated[k].name}: {said}: it stands {away * 1e3:.0f} mm and {np.degrees(turned):.0f} degrees from "
                              "where it is stated", cameras.BEFORE, False, 0.7))
     return found

@@ -19,7 +19,7 @@ from vision.predict import State, predict
 from vision.reading.identity import suspects
 from vision.targets import MarkerMap
 
-NEAR = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following: half of what detect.py looks over
+WORTH_FOLLOWING = 3.0  # px, RMS over a frame, within which a command must predict what is seen to be worth following
 LEAST = 4  # frames that teach anything
 
 
@@ -77,4 +77,4 @@ def _commanded(recording: Recording, m: Measurement, frames: np.ndarray) -> dict
     miss = ((o.uv - predict(o, here)[0]) ** 2).sum(axis=1)[m.inliers & o.on_platform]
     count = np.bincount(o.frame[m.inliers & o.on_platform], minlength=len(frames))
     rms = np.sqrt(np.bincount(o.frame[m.inliers & o.on_platform], weights=miss, minlength=len(frames)) / np.maximum(count, 1))
-    return dict(zip(numbers.tolist(), T)) if (rms < NEAR).all() else {}
+    return dict(zip(numbers.tolist(), T)) if (rms < WORTH_FOLLOWING).all() else {}

@@ -21,7 +21,7 @@ from rig import machine_file
 from rig.files import write_text
 from rig.recording import Recording
 
-NEAR = 0.02  # rad; nearer angles than that share a joint's profile
+SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
 Z95 = 1.959964
 SMALL = 1e-4  # step of an order, for its derivative
 
@@ -65,9 +65,9 @@ def figures(left: np.ndarray) -> dict[str, float]:
 
 
 def reach(held: HeldOutPoses) -> dict[str, Any]:
-    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within NEAR of an angle that they were
+    """{after_at_fitted_angles, after_beyond}: figures of held-out poses all of whose joints stood within SAME_ANGLE of an angle that they were
     fitted at, and of the rest; None where there are none. No data tell a profile where its joint never stood."""
-    near = held.far <= NEAR
+    near = held.far <= SAME_ANGLE
     return {name: figures(held.after[rows]) if rows.any() else None for name, rows in (("after_at_fitted_angles", near), ("after_beyond", ~near))}
 
 

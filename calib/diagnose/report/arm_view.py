@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis
 from calib.diagnose.report import arm_contributions
-from calib.diagnose.report.arm import NEAR, figures
+from calib.diagnose.report.arm import SAME_ANGLE, figures
 from calib.diagnose.report.arm_picture import picture
 from calib.diagnose.report.drawing import scatter
 from calib.diagnose.report.page import Part
@@ -60,7 +60,7 @@ class ArmView:
         """Held-out errors, before and after, pose by pose and in a table."""
         d, rows = self.diagnosis, []
         for h in d.held:
-            near = h.far <= NEAR
+            near = h.far <= SAME_ANGLE
             for label, left in zip(ROWS, (h.before, h.after, h.after[near], h.after[~near])):
                 if len(left):
                     f = figures(left)

@@ -16,7 +16,7 @@ from vision.targets import marker_map
 AZIMUTH, ELEVATION = np.radians(-65), np.radians(24)  # from where the rig is looked at
 MARKS = ("crimson", "darkorange", "purple", "teal", "saddlebrown", "deeppink")  # of the first, second, .. finding
 PLAIN = "0.55"
-NEARER = 0.6  # of their distance at which cameras are drawn
+CAMERA_DISTANCE = 0.6  # of their distance at which cameras are drawn
 
 
 def schematic(point: OperatingPoint, places: list[str]) -> Figure:
@@ -105,7 +105,7 @@ def _targets(axes: Axes, k: OperatingPoint, T: RigidTransform, colour: Callable[
 
 def _camera(axes: Axes, camera: Camera, colour: str, middle: np.ndarray) -> None:
     half = np.array([camera.width / 2 / camera.matrix[0, 0], camera.height / 2 / camera.matrix[1, 1]])
-    away = NEARER * (camera.pose.translation - middle)
+    away = CAMERA_DISTANCE * (camera.pose.translation - middle)
     ends = 0.12 * np.linalg.norm(away) * np.array([[x * half[0], y * half[1], 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     tip, ends = middle + away, middle + away + ends @ camera.pose.rotation.as_matrix().T
     _line(axes, ends[[0, 1, 2, 3, 0]], colour, lw=2.2 if colour != PLAIN else 1)

@@ -95,7 +95,7 @@ def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCan
     """The candidates of an effect at a place; its curves of more and fewer numbers are one."""
     if not specs:
         return []
-    several = all(COUNT in node for spec in specs for node in spec.shapes)
+    several = all(COUNT in node for spec in specs for node in spec.grid)
     return [_candidate(group, arms) for group in ([specs] if several else [(spec,) for spec in specs])]
 
 
@@ -104,7 +104,7 @@ def _candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate
     joint = places.index(first.place) if first.place in places else None
     form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)
     positive = len(first.linear) < 2 and min((low for low, _ in _bounds(first)), default=0.0) >= 0
-    grid = [node for spec in specs for node in spec.shapes]
+    grid = [node for spec in specs for node in spec.grid]
     # a node that is the size itself has one linear coefficient in its place, and so nothing that is sought besides
     return JointCandidate(name=first.kind.name, place=first.place, grid=grid, extra=first.extra if first.linear else 0, joint=joint, specs=specs,
                           weights=_kept(lambda node: _weights(_spec(specs, node), node, joint, arms)),
@@ -114,19 +114,19 @@ def _candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate
 
 def _spec(specs: tuple[EffectCandidate, ...], node: Node) -> EffectCandidate:
     """The spec of a node: with as many columns as the node says."""
-    return next((spec for spec in specs if spec.shapes[0].get(COUNT) == node.get(COUNT)), specs[0])
+    return next((spec for spec in specs if spec.grid[0].get(COUNT) == node.get(COUNT)), specs[0])
 
 
 def _bounds(spec: EffectCandidate) -> list[tuple[float, float]]:
     """Bounds of what the coefficients stand for."""
     by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
-    return [by[column.name].bounds for column in spec.linear if column.name != QUADRATURE] or [by[name].bounds for name in spec.shapes[0]]
+    return [by[column.name].bounds for column in spec.linear if column.name != QUADRATURE] or [by[name].bounds for name in spec.grid[0]]
 
 
 def _prior(spec: EffectCandidate) -> np.ndarray:
     """(q,) sizes that rigs show of the coefficients."""
     by = {p.name: p for p in spec.kind.parameters_at(spec.place)}
-    names = [column.name for column in spec.linear] or [next(iter(spec.shapes[0]))]
+    names = [column.name for column in spec.linear] or [next(iter(spec.grid[0]))]
     amplitude = next((name for name in names if name != QUADRATURE), "")
     used = [by[amplitude if name == QUADRATURE else name] for name in names]
     return np.array([1 / p.usual[0] if p.role == "inverse" else p.usual[1] for p in used])

@@ -117,10 +117,10 @@ def context_of(point: OperatingPoint) -> Context:
 
 def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
     """PlatformCandidate of what an effect states, with what rigs show of its parameters."""
-    node, parameters = spec.shapes[0], spec.kind.parameters_at(spec.place)
+    node, parameters = spec.grid[0], spec.kind.parameters_at(spec.place)
     named = {column.name for column in spec.linear} | set(node)
     usual = tuple(UsualRange(p.name, *p.usual, p.signed, Role(p.role)) for p in parameters if p.size == 1 and p.name in named and p.role in SIZED)
-    return PlatformCandidate(name=spec.kind.name, place=spec.place, grid=spec.shapes, label=spec.label, extra=spec.extra, tied=spec.tied, usual=usual,
+    return PlatformCandidate(name=spec.kind.name, place=spec.place, grid=spec.grid, label=spec.label, extra=spec.extra, tied=spec.tied, usual=usual,
                              searched=any(p.role in SEARCHED and p.name in node for p in parameters), bounds=bounds_of(spec),
                              vector=any(column.index is not None for column in spec.linear), spec=spec)
 

@@ -8,26 +8,26 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.marker_swap import MarkerSwap
 from vision.predict import see
 
-FAR = 5.0  # px; a sighting farther off than this, in the middle, is gross
-NEAR = 0.2  # of the gross distance to which an exchange must bring it
-SHARE = 0.7  # of a marker's sightings that must be gross
+FAR = 5.0  # px; a sighting farther off than this, in the middle, is misplaced
+BROUGHT_BACK = 0.2  # of that distance to which an exchange must bring it
+SHARE = 0.7  # of a marker's sightings that must be misplaced
 
 
 def swaps(point: OperatingPoint) -> list[MarkerSwap]:
-    """[MarkerSwap] that bring a marker's corners from gross errors to where they are seen. point : OperatingPoint with all corners in"""
+    """[MarkerSwap] that bring a marker's corners from whole sides away to where they are seen. point : OperatingPoint with all corners in"""
     seen = point.seen
     if seen is None:
         return []
     off = _distance(point, ())
     ids, rows = seen.markers.id, seen.sightings.marker
-    gross = [m for m in np.unique(rows) if np.mean(off[rows == m] > FAR) > SHARE]
+    misplaced = [m for m in np.unique(rows) if np.mean(off[rows == m] > FAR) > SHARE]
     unseen = np.setdiff1d(np.arange(len(ids)), rows)  # a face that no camera sees may have been exchanged as well
     out, done = [], set()
-    for m in gross:
+    for m in misplaced:
         if m in done:
             continue
         trials = [MarkerSwap(f"marker {ids[m]}", -1.0, float(turn)) for turn in (1, 2, 3)]
-        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in (*gross, *unseen) if n != m for a, b in ((m, n), (n, m))
+        trials += [MarkerSwap(f"marker {ids[a]}", float(ids[b]), float(turn)) for n in (*misplaced, *unseen) if n != m for a, b in ((m, n), (n, m))
                    for turn in range(4)]
         worst = []
         for trial in trials:
@@ -35,7 +35,7 @@ def swaps(point: OperatingPoint) -> list[MarkerSwap]:
             both = {m, *np.flatnonzero(np.isin(ids, [int(trial.other), int(trial.place.split(" ")[1])]))}
             worst.append(max(np.median(moved[rows == n]) for n in both if (rows == n).any()))
         best = int(np.argmin(worst))
-        if worst[best] < max(NEAR * np.median(off[rows == m]), 2.0):
+        if worst[best] < max(BROUGHT_BACK * np.median(off[rows == m]), 2.0):
             out.append(trials[best])
             done |= {m, *np.flatnonzero(np.isin(ids, [int(trials[best].other), int(trials[best].place.split(" ")[1])]))}
     return out

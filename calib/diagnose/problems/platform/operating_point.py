@@ -26,7 +26,7 @@ from vision.targets import MarkerMap, marker_map
 
 KINDS = ("hexapod", "planar2", "free")  # of mechanisms
 FEWEST = 12  # frames
-GROSS = 60.0  # px; a corner farther off belongs to something else
+ELSEWHERE = 60.0  # px; a corner farther off belongs to something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +208,7 @@ def within_reach(point: OperatingPoint) -> OperatingPoint:
     seen = point.seen
     if seen is None:
         return point
-    near = np.linalg.norm(seen.observations.uv - point.pixels(), axis=1) < GROSS
+    near = np.linalg.norm(seen.observations.uv - point.pixels(), axis=1) < ELSEWHERE
     return point if near.all() else replace(point, seen=seen_of(seen.observations.take(near), seen.markers))
 
 

@@ -70,7 +70,7 @@ def _load(load: np.ndarray, room: np.ndarray | None, design: Design) -> Iterator
                       + (f" of {design.platform.mass:g} kg" if design.platform.mass else ""), "Divide payload_mass_kg by 1000", False, 0.8)
 
 
-def environment(design: Design) -> Iterator[Mistake]:
+def surroundings(design: Design) -> Iterator[Mistake]:
     """Gravity of a wrong size or sign, and a platform's mass in grams."""
     g = np.asarray(design.gravity)
     size = float(np.linalg.norm(g))
