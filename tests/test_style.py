@@ -11,9 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("rig", "vision", "calib", "synthetic")
-ANNOTATED = ("rig", "synthetic", "vision", "calib")
 MOST_LINES, MOST_PARAMETERS = 60, 8
-LONG = {"rig/commands/online.py:run"}  # only ever to grow shorter
 UNITS = ("m ", "m,", "m;", "rad", "px", "s ", "s,", "Nm", "kg", "image", "level")  # as docstrings write them
 
 
@@ -69,11 +67,11 @@ def test_types_are_clean():
 
 
 def test_all_functions_are_annotated():
-    assert [f.where for f in functions(*ANNOTATED) if f.untyped and not f.compiled] == []
+    assert [f.where for f in functions(*PACKAGES) if f.untyped and not f.compiled] == []
 
 
 def test_functions_are_short():
-    assert {f.where for f in functions(*PACKAGES) if f.lines > MOST_LINES and not f.compiled} == LONG
+    assert [f.where for f in functions(*PACKAGES) if f.lines > MOST_LINES and not f.compiled] == []
 
 
 def test_functions_take_few_parameters():
@@ -82,12 +80,12 @@ def test_functions_take_few_parameters():
 
 def test_public_methods_are_told_by_their_class_or_its_base():
     told = {f.node.name for f in functions(*PACKAGES) if f.owner is not None and ast.get_docstring(f.node)}
-    public = [f for f in functions(*ANNOTATED) if f.owner is not None and not f.owner.name.startswith("_") and not f.node.name.startswith("_")]
+    public = [f for f in functions(*PACKAGES) if f.owner is not None and not f.owner.name.startswith("_") and not f.node.name.startswith("_")]
     silent = [f.where for f in public if f.node.name not in told]
     assert silent == []
 
 
-@pytest.mark.parametrize("package", ANNOTATED)
+@pytest.mark.parametrize("package", PACKAGES)
 def test_arrays_are_told_with_shape_or_unit(package):
     """A public function whose types name an array says of what shape or unit: a bracketed shape or a unit stands in its docstring."""
     missing = []

@@ -10,7 +10,10 @@ from rig.commands.output import Progress, add_recording, print_unsolved, read_re
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from calib.online.change_detection import Change
+    from calib.online.filter import Online, Update
     from calib.store import Calibration
     from rig.design import Arm, Free, Hexapod, Planar2
     from rig.provenance import Marks
@@ -44,49 +47,52 @@ def run(arguments: Namespace) -> None:
     from rig.provenance import flat, marks
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    goes_on = arguments.state is not None and arguments.state.exists()
-    learner = Online.load(arguments.state) if goes_on else None
+    known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
     of = marks(recording)
-    learnt = learner.data if goes_on else set() if calibration is None else set(calibration.provenance.get("data", ()))
+    learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))
     fresh = not_learnt(recording, of, learnt)
     sampled = sample_recording(recording, progress=progress)
     samples = sampled.samples.take(np.isin(sampled.samples.frame, fresh))
     if not len(samples):
         raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
     shared = samples.common.shape[2]
-    before = learner.number if goes_on else 0
-    if goes_on:
-        learner.new_session(shared)
-    elif calibration is not None:
-        learner = Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance)
-    else:
-        learner = Online(mechanism, shared)
+    before = known.number if known is not None else 0
+    if known is not None:
+        known.new_session(shared)
+    learner = known or (Online(mechanism, shared) if calibration is None else
+                        Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance))
     learner.data = learnt | set(flat(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = []
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
-    count = sum(len(update.changes) for update in updates)
-    sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
-    print(f"{_counted(count)} in {len(samples)} poses from {sampled.source}, learnt one at a time" + (f" after {before} before" if before else "")
-          + f"; joints and zeros are known to {sigma * 1e3:.4f} mm RMS")
-    if count > MANY:
-        print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
-    first = updates[0].number
-    for update in updates:
-        for change in update.changes:
-            print(f"frame {samples.frame[update.number - first]}: {said(change, samples.frame[max(change.onset - first, 0)])}")
-        for number in update.dropped:
-            print(f"frame {samples.frame[number - first]}: its pose agrees with no other and is left out")
-    innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
+    _tell(learner, updates, samples.frame, f"{len(samples)} poses from {sampled.source}, learnt one at a time"
+          + (f" after {before} before" if before else ""))
     moved = learner.p - parameters(mechanism)
-    print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out); joints and zeros moved by "
-          f"{np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
+    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(sampled.measurement)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
+
+
+def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:
+    """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left out."""
+    import numpy as np
+
+    count, first = sum(len(update.changes) for update in updates), updates[0].number
+    sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
+    print(f"{_counted(count)} in {learnt}; joints and zeros are known to {sigma * 1e3:.4f} mm RMS")
+    if count > MANY:
+        print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
+    for update in updates:
+        for change in update.changes:
+            print(f"frame {frames[update.number - first]}: {said(change, frames[max(change.onset - first, 0)])}")
+        for number in update.dropped:
+            print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
+    innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
+    print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)")
 
 
 def _counted(changes: int) -> str:
