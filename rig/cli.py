@@ -10,7 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
@@ -18,6 +18,7 @@ from rig.files import STANDARD_OUTPUT, Outputs
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 WRITTEN = ("out", "truth", "state")  # arguments that name what is written; all other paths are read
 
+S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
     "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
     "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a recipe of it.",
@@ -157,7 +158,7 @@ def _failed(message: str, status: int = 1) -> int:
     return status
 
 
-def _flushed(name: str, status: int | str | None) -> int | str | None:
+def _flushed(name: str, status: S) -> S | int:
     """The status, once all that was printed is out; 1 where it cannot be printed, which is said on the error output."""
     if sys.stdout is None:
         return status

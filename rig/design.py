@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.controller import Controller
+from rig.errors import RigError
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -284,3 +285,9 @@ class Design:
             if camera.name == name:
                 return camera
         raise ValueError(f"no camera {name!r}; there are {[camera.name for camera in self.cameras]}")
+
+    def driver(self) -> Controller:
+        """The Controller. Raises RigError where nothing is driven."""
+        if self.controller is None:
+            raise RigError("rig.toml has no [controller], so there is nothing to drive")
+        return self.controller

@@ -150,8 +150,8 @@ def _platform(table: Entries) -> Platform:
 
 def _limbs(table: Entries) -> MeasuringLimbs:
     table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
-    joints = [table.array(name, (6, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints")]
-    return MeasuringLimbs(*joints, table.number("length_sigma", above=0, most=0.1, unit="m"))
+    base, platform = (table.array(name, (6, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints"))
+    return MeasuringLimbs(base, platform, table.number("length_sigma", above=0, most=0.1, unit="m"))
 
 
 def _sensor(table: Entries) -> Sensor:
@@ -212,8 +212,8 @@ def _targets(tables: list[Entries]) -> tuple[Target, ...]:
         body, dictionary = table.text("body", ("platform", "base")), table.text("dictionary", tuple(DICTIONARIES))
         listed = isinstance(table.tree.get("marker"), list)
         target = _listed(table, name, body, dictionary) if listed else _cube(table, name, body, dictionary)
-        for number, key in zip(target.ids, [("faces", face) for face, _ in target.faces] or
-                               [("marker", i, "id") for i in range(len(target.listed))]):
+        keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]
+        for number, key in zip(target.ids, keys or [("marker", i, "id") for i in range(len(target.listed))]):
             if number >= DICTIONARIES[dictionary]:
                 table.fail(f"{dictionary} has identities 0..{DICTIONARIES[dictionary] - 1}, not {number}", *key, value=number)
             if number in owners:

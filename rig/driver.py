@@ -13,6 +13,7 @@ from rig.advice import ANEW, CANNOT_HOME, OUT_OF_RANGE, TRUST, advice
 from rig.clock import Clock, SystemClock
 from rig.design import Design
 from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Unreachable
+from rig.kinds import struts_of
 from rig.link import Link, Port
 from rig.port import SerialPort, found
 from rig.protocols.base import Dialogue, Segment, State, Verdict
@@ -57,12 +58,10 @@ class Driver:
 
     def __init__(self, design: Design, clock: Clock | None = None, opener: Callable[[], Port] | None = None,
                  trace: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
-        if design.controller is None:
-            raise RigError("the rig.toml has no [controller]; nothing can be driven")
-        c = design.controller
+        c = design.driver()
         if opener is None and not (c.port or c.usb):
             raise RigError("[controller] names no port")
-        self.design, self.controller, self.mechanism = design, c, design.mechanism
+        self.design, self.controller, self.mechanism = design, c, struts_of(design.mechanism)
         self.clock = clock or SystemClock()
         self._protocol = protocols.of(c, len(design.mechanism.axes))
         self.link = Link(self._protocol, opener or (lambda: SerialPort(found(c.port, c.usb), c.baudrate, self.clock)), self.clock, c.timeout, trace)

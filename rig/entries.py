@@ -58,7 +58,8 @@ class Entries:
         at = self.path + keys
         while at not in self.places:
             at = at[:-1]
-        raise FileError(self.file, message, *self.places[at], value=value)
+        line, column = self.places[at]
+        raise FileError(self.file, message, line, column, value)
 
     def name(self, key: Key) -> str:
         """A key with its path, as in camera.1.width."""

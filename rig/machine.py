@@ -11,6 +11,7 @@ from rig.design import Design, Hexapod, Planar2
 from rig.effects.base import Effect
 from rig.effects.motion import Motion, Path
 from rig.errors import NotConverged, RigError
+from rig.kinds import axes_of
 from rig.mechanisms import hexapod, planar
 from rig.pose import difference, exp
 from rig.recording import Commands, Sensors
@@ -48,7 +49,7 @@ def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[
     for effect in effects:
         path = effect.follow(path, mechanisms.places(design.mechanism))
     home = mechanisms.of(design.mechanism).home(design.mechanism)
-    return Motion(design.mechanism, design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
+    return Motion(axes_of(design.mechanism), design.platform, design.actuator, design.gravity, t, path, sensors, home, None)
 
 
 def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect] = (), sensors: Sensors | None = None,

@@ -52,7 +52,7 @@ def _mechanism(stated: Hexapod | Planar2 | Arm | Free, table: Entries) -> Hexapo
     found = {}
     for name in GEOMETRY.get(stated.kind, ()):
         if name in table.tree:
-            shape = (len(stated.joints), 5) if name == "joints" else getattr(stated, name).shape
+            shape = (len(stated.axes), 5) if name == "joints" else getattr(stated, name).shape
             found[name] = table.array(name, shape, length_limit=LARGEST_RIG)
     for name in PLACES if stated.kind == "arm" else ():
         if name in table.tree:

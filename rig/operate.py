@@ -162,8 +162,8 @@ class Operator:
         self.write(Arrival(ended, index, tuple(goal.tolist()), True, self.bench.way(start, goal, begun, ended)))
 
     def _settle(self) -> None:
-        bench = self.bench
-        images = (lambda: [frame.image for frame in bench.shutter.grab().values()]) if bench.shutter else None
+        bench, shutter = self.bench, self.bench.shutter
+        images = (lambda: [frame.image for frame in shutter.grab().values()]) if shutter else None
         bench.settling.wait(bench.clock, images, bench.limbs)
 
     def _look(self) -> None:

@@ -224,7 +224,7 @@ def _division(writer: _Writer, design: Design, text: str, rng: np.random.Generat
         writer.settle(goal)
 
 
-PARTS = {
+PARTS: dict[str, Callable[..., None]] = {
     "sobol": _visit(lambda design, count, rng: low_discrepancy(strokes_of(design), count or 100, seed=int(rng.integers(1 << 30)))),
     "grid": _visit(lambda design, count, rng: grid(strokes_of(design), count or 2)),
     "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),

@@ -37,13 +37,19 @@ class _Scanner:
         self.counts: dict[tuple, int] = {}
 
     def skip(self, pattern: re.Pattern[str]) -> None:
-        self.at = pattern.match(self.text, self.at).end()
+        self.at = self.match(pattern).end()
+
+    def match(self, pattern: re.Pattern[str]) -> re.Match[str]:
+        found = pattern.match(self.text, self.at)
+        if found is None:
+            raise ValueError(f"no TOML at {self.at}")
+        return found
 
     def key(self) -> tuple[str, ...]:
         parts = []
         while True:
             self.skip(_SPACE)
-            match = _KEY.match(self.text, self.at)
+            match = self.match(_KEY)
             parts.append(match.group().strip("\"'"))
             self.at = match.end()
             self.skip(_SPACE)

@@ -1,7 +1,7 @@
 """Blinded cases: rigs, protocols and left-out physics drawn at random, written as recordings whose truth stays apart."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.drawing import Drawing
 from rig.errors import RigError
 from rig.files import write_text
+from rig.kinds import axes_of
 from rig.observed import Corners
 from rig.plan import Plan, build
 from rig.recording import Sensors
@@ -46,7 +47,7 @@ class DrawnCase:
     simulation: simulation.Simulation
     text: str
     noise: float
-    disturbance: object
+    disturbance: Callable[..., Corners] | None
     plan: str
     rng: np.random.Generator
     hidden: tuple[Effect, ...] = ()
@@ -141,7 +142,7 @@ def _effect(kind: type[Effect], design: Design, route: Plan, rng: np.random.Gene
     axes = mechanisms.places(design.mechanism)
     place = {"axis": axes[rng.integers(len(axes))], "camera": f"camera {camera.name}", "target": f"target {target.name}",
              "marker": f"marker {target.ids[rng.integers(len(target.ids))]}"}.get(place, place)
-    sensors, _ = world.temperatures(float(route.t[-1]), np.random.default_rng(0), world.struts_of(design.mechanism))
+    sensors, _ = world.temperatures(float(route.t[-1]), np.random.default_rng(0), world.struts_of(axes_of(design.mechanism)))
     motion = machine.motion(design, route.commands, route.t, (), sensors)
     reason = kind(place).needs(motion) if kind.stage in MOTION_STAGES else None
     if reason:
@@ -161,10 +162,10 @@ def _displaced(effect: Effect, camera: Camera) -> float:
 
 def write_recording(case: DrawnCase, folder: Path) -> None:
     """Write the recording of a case into a folder."""
-    spoil = None
-    if case.disturbance is not None:
+    spoil, disturbance = None, case.disturbance
+    if disturbance is not None:
         def spoil(corners: Corners) -> Corners:
-            return case.disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
+            return disturbance(corners, case.simulation.world.stated, case.noise, case.rng)
     images = None if case.eyes is None else case.eyes.images
     simulation.write(case.simulation, folder, case.text, case.rng, case.noise, images, spoil=spoil)
 

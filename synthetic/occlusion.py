@@ -31,7 +31,7 @@ def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, e
             a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if body == "platform" else (eye, ends)
             blocked |= _through_disc(a, b, joints[:, 2].mean() - 0.002, plate_radius(body, design), PLATE)
     for target in design.targets:
-        if target.edge is None:
+        if target.edge is None or target.pose is None:
             continue
         pose = target.pose.inv().as_matrix()
         a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if target.body == "platform" else (eye, ends)

@@ -12,6 +12,8 @@ import numpy as np
 
 from rig.design import Camera, Design
 from rig.effects.base import Effect, Motion
+from rig.errors import RigError
+from rig.kinds import hexapod_of
 from rig.mechanisms import hexapod
 from rig.observed import Corners
 from rig.pose import exp, transform_points
@@ -38,13 +40,13 @@ class CablePull(Effect):
 
     def deviation(self, motion: Motion) -> np.ndarray:
         at = np.array([0.0, self.arm, 0.0])  # where the cable is tied, platform frame
-        matrix = motion.T.as_matrix()
+        matrix = motion.posed().as_matrix()
         away = np.asarray(self.anchor) - (matrix[:, :3, :3] @ at + matrix[:, :3, 3])
         length = np.linalg.norm(away, axis=1, keepdims=True)
         force = self.spring * np.maximum(length - self.slack, 0) * away / length
         force = (np.swapaxes(matrix[:, :3, :3], 1, 2) @ force[..., None])[..., 0]
         give = np.concatenate([force, np.cross(at, force) / self.arm**2], axis=1) * self.softness
-        return (hexapod.jacobian(motion.T, motion.mechanism) @ give[..., None])[..., 0]
+        return (hexapod.jacobian(motion.posed(), hexapod_of(motion.mechanism)) @ give[..., None])[..., 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ class BendingStrut(Effect):
     on_pose: ClassVar = True
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        matrix, m = motion.T.as_matrix(), motion.mechanism
+        matrix, m = motion.posed().as_matrix(), hexapod_of(motion.mechanism)
         struts = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3] - m.base_joints
         length = np.linalg.norm(struts, axis=2)
         level = 1 - (struts @ motion.gravity / np.linalg.norm(motion.gravity) / length) ** 2
@@ -80,8 +82,8 @@ class WanderingBase(Effect):
     on_pose: ClassVar = True
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        moved = transform_points(exp(_course(self.course, motion.t, 6)), motion.mechanism.base_joints)
-        matrix, m = motion.T.as_matrix(), motion.mechanism
+        moved = transform_points(exp(_course(self.course, motion.t, 6)), hexapod_of(motion.mechanism).base_joints)
+        matrix, m = motion.posed().as_matrix(), hexapod_of(motion.mechanism)
         tips = m.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
         return np.linalg.norm(tips - m.base_joints, axis=2) - np.linalg.norm(tips - moved, axis=2)
 
@@ -185,8 +187,8 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
 
 def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
-    radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean()
-    stroke = np.ptp(design.mechanism.strut_range, axis=1).mean()
+    m = hexapod_of(design.mechanism)
+    radius, stroke = float(np.linalg.norm(m.base_joints, axis=1).mean()), float(np.ptp(m.strut_range, axis=1).mean())
     strut = f"strut {rng.integers(1, 7)}"
     camera = f"camera {design.cameras[rng.integers(len(design.cameras))].name}"
 
@@ -197,7 +199,7 @@ def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     name = OUT_OF_CATALOGUE[rng.integers(len(OUT_OF_CATALOGUE))]
     if name is CablePull:
         anchor = radius * np.array([rng.uniform(-1.5, 1.5), rng.uniform(-1.5, 1.5), rng.uniform(2.5, 4)])
-        length = np.linalg.norm(anchor - design.mechanism.home.translation)
+        length = float(np.linalg.norm(anchor - m.home.translation))
         return CablePull("rig", tuple(anchor.tolist()), length * rng.uniform(0.9, 1.0), _log(rng, 2e-5, 5e-4) / (0.1 * length) / 1e-6, 1e-6,
                          radius * 0.5)
     if name is BendingStrut:
@@ -209,6 +211,8 @@ def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
     if name is SlippingClutch:
         return SlippingClutch(strut, _log(rng, 2e-5, 3e-4) / (100 * stroke))
     if name is Drag:
+        if design.actuator.max_speed is None:
+            raise RigError("drag takes [actuator] max_speed in rig.toml")
         return Drag("rig", _log(rng, 1e-5, 2e-4) / (design.actuator.max_speed / 4) ** 2)
     if name is BreathingLens:
         return BreathingLens(camera, waves(1, _log(rng, 2e-5, 5e-4)))

@@ -81,7 +81,7 @@ def drawable(kind: type[Effect]) -> bool:
 _state: dict[str, Any] = {}  # of a drawing process: what it was started with
 
 
-def _start(simulation: Simulation, out: Path, images: Images, seed: int) -> None:
+def _start(simulation: Simulation, out: Path | None, images: Images, seed: int) -> None:
     _state.clear()
     _state.update(simulation=simulation, out=out, images=images, seed=seed)
 
@@ -115,7 +115,8 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     """The image of (frame, camera index) by a sensor."""
     seed, exposures = _state["seed"], _state["exposures"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
-    radiance = sum(_picture(_state["design"].cameras[i], i, f, shift, T[f]) for shift, T in exposures) / np.float32(len(exposures))
+    pictures = [_picture(_state["design"].cameras[i], i, f, shift, T[f]) for shift, T in exposures]
+    radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
     return expose(radiance, sensor, rng, SAMPLES)
 
 
@@ -172,7 +173,7 @@ def _picture(camera: Camera, i: int, f: int, shift: float, T: RigidTransform) ->
 def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
     """s from one row to the next, as stated and by effects."""
     stated = camera.row_time if camera.shutter == "rolling" else 0.0
-    return stated + sum(float(effect.late(camera, camera.height / 2 + 1.0)) for effect in effects)
+    return stated + sum((float(effect.late(camera, np.array(camera.height / 2 + 1.0))) for effect in effects), 0.0)
 
 
 def _view(camera: Camera, t: float, T: RigidTransform) -> np.ndarray:

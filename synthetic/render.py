@@ -25,7 +25,7 @@ from rig.design import Camera, Design
 from rig.errors import MissingLibrary
 from rig.pose import exp
 from synthetic.ink import bilinear, lay
-from synthetic.scene import BLACK, WHITE, Part, body_poses, shade
+from synthetic.scene import Ink, BLACK, WHITE, Part, body_poses, shade
 from vision import lens
 
 FINER = 1.25  # how many pixels of the pinhole picture to one of the camera's
@@ -43,7 +43,7 @@ def opengl() -> Any:
     """The pyrender module without its viewer. Raises MissingLibrary naming the packages where there is no OpenGL."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     if "pyrender" not in sys.modules:
-        viewer = types.ModuleType("pyrender.viewer")  # the real one pulls in pyglet and X11
+        viewer: Any = types.ModuleType("pyrender.viewer")  # the real one pulls in pyglet and X11
         viewer.Viewer = None
         sys.modules["pyrender.viewer"] = viewer
     try:
@@ -104,7 +104,7 @@ class Renderer:
         to_camera = np.linalg.inv(T)
         for part in self.parts:
             if part.ink is not None:
-                self._lay(part, to_camera @ poses[part.body] @ part.ink.to_body, pinhole, picture, out)
+                self._lay(part, part.ink, to_camera @ poses[part.body] @ part.ink.to_body, pinhole, picture, out)
         out /= np.float32(255)
         return out
 
@@ -114,9 +114,9 @@ class Renderer:
             return [grey, grey, 0.0, 1.0]
         return [grey, grey * BLACK / WHITE, self.numbers[id(part)] / 255, 1.0]
 
-    def _lay(self, part: Part, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray) -> None:
+    def _lay(self, part: Part, ink: Ink, from_cells: np.ndarray, pinhole: _Pinhole, picture: np.ndarray, out: np.ndarray) -> None:
         """Lay a part's ink. from_cells : (4, 3) cells (X, Y, 1) to the camera's frame"""
-        G, n = from_cells[:3], len(part.ink.cells)
+        G, n = from_cells[:3], len(ink.cells)
         if not G[:, 2] @ np.cross(G[:, 0], G[:, 1]) > 0:
             return  # seen from behind
         around = np.concatenate([n * np.stack([OUTLINE, 0 * OUTLINE]), n * np.stack([1 + 0 * OUTLINE, OUTLINE]),
@@ -126,7 +126,7 @@ class Renderer:
             return
         box = pinhole.box(outline.T)
         if box is not None:
-            lay(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), part.ink.cells, self.numbers[id(part)], out)
+            lay(picture, pinhole.places, box, pinhole.ideal(box), np.linalg.inv(G), ink.cells, self.numbers[id(part)], out)
 
     def _without_multisampling(self) -> None:
         """Make pyrender draw without multisampling, which would mix the parts' numbers, and hand out what it drew as it is."""

@@ -12,6 +12,7 @@ import trimesh
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import FACES, Arm, Design, Free, Hexapod, Planar2, Target
+from rig.kinds import hexapod_of
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
@@ -112,9 +113,11 @@ def shade(part: Part, matrix: np.ndarray) -> float:
 
 def plate_radius(body: str, design: Design) -> float:
     """m, of the disc that carries a body's joints and cubes."""
-    joints = design.mechanism.base_joints if body == "base" else design.mechanism.platform_joints
-    cubes = [np.linalg.norm(target.pose.translation[:2]) + 0.8 * target.edge for target in design.targets if target.body == body and target.edge]
-    return max([1.12 * np.linalg.norm(joints[:, :2], axis=1).max(), *cubes])
+    m = hexapod_of(design.mechanism)
+    joints = m.base_joints if body == "base" else m.platform_joints
+    cubes = [float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge for target in design.targets
+             if target.body == body and target.edge and target.pose is not None]
+    return max([1.12 * float(np.linalg.norm(joints[:, :2], axis=1).max()), *cubes])
 
 
 def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
@@ -158,7 +161,7 @@ def _quad(body: str, T: RigidTransform, half: float, albedo: float, texture: np.
 
 
 def _surroundings(design: Design, background: str, rng: np.random.Generator | None) -> list[Part]:
-    reach = 3.0 * max([0.5] + [np.linalg.norm(camera.pose.translation) for camera in design.cameras])
+    reach = 3.0 * max([0.5] + [float(np.linalg.norm(camera.pose.translation)) for camera in design.cameras])
     if background == "plain":
         room = trimesh.creation.icosphere(subdivisions=3, radius=reach)
         room.invert()

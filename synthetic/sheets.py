@@ -53,11 +53,11 @@ def sheets(design: Design, path: str | Path, paper: str = "A4") -> list[str]:
 
 
 def _pages(target: Target) -> Iterator[Any]:
-    if target.edge is not None:
-        edge = target.edge * 1e3
+    if target.edge is not None and target.marker is not None:
+        edge, side = target.edge * 1e3, target.marker * 1e3
         flap = TAB * edge
-        yield (f"target {target.name}: cube of edge {edge:g} mm, markers {target.marker * 1e3:g} mm, {target.dictionary}",
-               4 * edge + 2 * flap, 3 * edge + 2 * flap, lambda axes, x, y: _net(axes, x + flap, y + flap, target, edge, flap))
+        yield (f"target {target.name}: cube of edge {edge:g} mm, markers {side:g} mm, {target.dictionary}",
+               4 * edge + 2 * flap, 3 * edge + 2 * flap, lambda axes, x, y: _net(axes, x + flap, y + flap, target, (edge, side, flap)))
     for marker in target.listed:
         size = (marker.side + 2 * marker.margin) * 1e3
         yield (f"target {target.name}: marker {marker.id}, {marker.side * 1e3:g} mm, {target.dictionary}", size, size,
@@ -72,14 +72,16 @@ def _fitting(label: str, width: float, height: float, names: Iterable[str]) -> t
     raise RigError(f"{label} is {width:.0f} x {height:.0f} mm on the sheet, too large for A0")
 
 
-def _net(axes: Axes, x: float, y: float, target: Target, edge: float, flap: float) -> None:
+def _net(axes: Axes, x: float, y: float, target: Target, sizes: tuple[float, float, float]) -> None:
+    """A cube's net from x, y; sizes : mm, of its edge, its markers' side and the flaps"""
+    edge, marker, flap = sizes
     ids = dict(target.faces)
     cells = {place: face for face, place in NET.items()}
     for (i, j), face in cells.items():
         corner = np.array([x + i * edge, y + j * edge])
-        axes.add_patch(Rectangle(corner, edge, edge, fill=False, lw=0.3, ec="0.6"))
+        axes.add_patch(Rectangle((corner[0], corner[1]), edge, edge, fill=False, lw=0.3, ec="0.6"))
         if face in ids:
-            _marker(axes, corner + edge / 2, target.marker * 1e3, target.dictionary, ids[face])
+            _marker(axes, corner + edge / 2, marker, target.dictionary, ids[face])
         axes.text(corner[0] + 0.03 * edge, corner[1] + 0.02 * edge, f"{target.name} {face}" + (f" id {ids[face]}" if face in ids else ""),
                   fontsize=max(3, min(7, edge / 9)), color="0.55", va="bottom")
     for i, j, side in ((0, 1, "l"), (0, 1, "t"), (1, 1, "t"), (2, 1, "t"), (0, 1, "b"), (2, 1, "b"), (3, 1, "b"), (3, 2, "t")):
@@ -87,8 +89,8 @@ def _net(axes: Axes, x: float, y: float, target: Target, edge: float, flap: floa
 
 
 def _flap(axes: Axes, corner: np.ndarray, edge: float, flap: float, side: str) -> None:
-    a, b, out = {"l": ((0, 1), (0, 0), (-1, 0)), "t": ((1, 1), (0, 1), (0, 1)), "b": ((0, 0), (1, 0), (0, -1))}[side]
-    a, b, out = corner + edge * np.array(a), corner + edge * np.array(b), flap * np.array(out)
+    first, second, away = {"l": ((0, 1), (0, 0), (-1, 0)), "t": ((1, 1), (0, 1), (0, 1)), "b": ((0, 0), (1, 0), (0, -1))}[side]
+    a, b, out = corner + edge * np.array(first), corner + edge * np.array(second), flap * np.array(away)
     inward = flap * (b - a) / edge
     axes.add_patch(Polygon([a, a + out + inward, b + out - inward, b], closed=True, fill=False, lw=0.3, ec="0.7", ls=":"))
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from rig import machine
 from rig.design import Design, Instrument, MeasuringLimbs
 from rig.files import write_text
+from rig.kinds import axes_of
 from rig.observed import POSE_COLUMNS
 from rig.plan import Plan, logged
 from rig.pose import exp, transform_points, vector
@@ -53,9 +54,9 @@ class Simulation:
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator) -> Simulation:
-    """Simulation of a world under a plan: the temperatures is drawn, the machine run. Raises what `machine.run` raises."""
+    """Simulation of a world under a plan: the temperatures are drawn, the machine run. Raises what `machine.run` raises."""
     duration = plan.commands.t[-1]
-    true, log = worlds.temperatures(duration, rng, worlds.struts_of(world.true.mechanism))
+    true, log = worlds.temperatures(duration, rng, worlds.struts_of(axes_of(world.true.mechanism)))
     sensors, log = logged(plan, true), logged(plan, log)
     run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=machine.rolls(world.true, world.effects))
     if world.true.insitu is not None:
@@ -97,7 +98,7 @@ def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sight
     eyes = np.array([camera.pose.translation for camera in design.cameras])[found.camera]
     count = points.shape[1]
     blocked = hidden(design, T, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
-    return blocked.reshape(-1, count).any(axis=1)
+    return np.any(blocked.reshape(-1, count), axis=1)
 
 
 def corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> Corners:
@@ -111,7 +112,7 @@ def corners(simulation: Simulation, noise: float, rng: np.random.Generator) -> C
                    np.tile(np.arange(4), len(found.frame)), uv + noise * rng.normal(size=uv.shape), None)
 
 
-def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float | None = None, images: Images | None = None,
+def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator, noise: float = 0.0, images: Images | None = None,
           progress: Callable[[int, int], None] | None = None, spoil: Callable[[Corners], Corners] | None = None) -> None:
     """Write a recording folder as its owner would have it.
 

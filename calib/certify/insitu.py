@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples, blocks
-from rig.design import Design, Hexapod
+from rig.design import Design, Hexapod, MeasuringLimbs
 from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import difference, vector
@@ -72,11 +72,20 @@ class Limbs:
         return own, pose_jacobian(T_base_platform, self.hexapod) @ half
 
 
+def length_sigma(design: Design) -> float:
+    """m, standard deviation of a limb's reading as rig.toml has it. Raises RigError for a rig without [insitu]."""
+    return _limbs(design).length_sigma
+
+
+def _limbs(design: Design) -> MeasuringLimbs:
+    if design.insitu is None:
+        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
+    return design.insitu
+
+
 def stated(design: Design) -> Hexapod:
     """Hexapod of the limbs as rig.toml has them. Raises RigError for a rig without [insitu] or that is no hexapod."""
-    limbs = design.insitu
-    if limbs is None:
-        raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
+    limbs = _limbs(design)
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
     home = design.mechanism.home

@@ -1,6 +1,7 @@
 """GenICam cameras (GigE Vision, USB3 Vision) through harvesters: triggered by software, stamped by the camera's own clock."""
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class GenicamSource:
 
     can_set_exposure = True
 
-    def __init__(self, name: str, acquirer: object, clock: Clock, size: tuple[int, int]) -> None:
+    def __init__(self, name: str, acquirer: Any, clock: Clock, size: tuple[int, int]) -> None:
         self.name, self._acquirer, self._clock, self._size, self._offset = name, acquirer, clock, size, Offset()
         nodes = acquirer.remote_device.node_map
         self._nodes = nodes
@@ -60,7 +61,7 @@ class GenicamSource:
         after = self._clock.now()
         self._offset.learn(before, self._nodes.TimestampLatchValue.value * STAMP, after)
 
-    def _image(self, component: object) -> np.ndarray:
+    def _image(self, component: Any) -> np.ndarray:
         """(height, width) uint8 or uint16 of a buffer's component, copied out of it."""
         if (component.width, component.height) != self._size:
             raise CameraError(f"camera {self.name!r} gives {component.width} x {component.height} px, but rig.toml has "

@@ -32,14 +32,16 @@ class Settling:
     def wait(self, clock: Clock, images: Callable[[], list[np.ndarray]] | None = None, limbs: Callable[[], np.ndarray] | None = None) -> None:
         """Return once the platform stands. images : one of each camera; limbs : (6,) m readings; whichever `by` asks for.
 
-        Raises NotSettled after MOST seconds.
+        Raises NotSettled after MOST seconds, ValueError where what it goes by is not given.
         """
         if self.by == "time":
             clock.sleep(self.amount)
-        elif self.by == "images":
+        elif self.by == "images" and images is not None:
             _by_images(clock, images)
-        else:
+        elif self.by == "limbs" and limbs is not None:
             _by_limbs(clock, limbs, self.amount)
+        else:
+            raise ValueError(f"settling by {self.by} takes {self.by} to look at")
 
 
 def settling(text: str) -> Settling:

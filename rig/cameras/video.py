@@ -1,11 +1,17 @@
 """UVC and GStreamer cameras through OpenCV: fresh frames only, and times from the driver's stamps where it gives them."""
 
+from __future__ import annotations
+
 import math
 import sys
+from typing import TYPE_CHECKING, Any
 
 from rig.cameras.offset import UNIFORM, Offset
 from rig.cameras.source import CameraError, Frame
 from rig.clock import Clock
+
+if TYPE_CHECKING:
+    import numpy as np
 
 FLUSHED = 8  # frames that may wait in a driver's queue
 WAIT = 5.0  # s without a frame after which a camera counts as gone
@@ -17,7 +23,7 @@ UVC_STEP = 1e-4  # s; V4L2's exposure_time_absolute counts these
 class VideoSource:
     """A camera that OpenCV opens. Without stamps of its own, an image was exposed between the one before it and its arrival."""
 
-    def __init__(self, name: str, capture: object, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
+    def __init__(self, name: str, capture: Any, clock: Clock, size: tuple[int, int], uvc: bool = True) -> None:
         """capture : an open cv2.VideoCapture; size : (width, height) px that its images must have; uvc : whether it takes UVC's controls"""
         import cv2
 
@@ -55,7 +61,7 @@ class VideoSource:
         end, sigma = self._offset.host(stamp, after)  # drivers stamp what arrives, at the exposure's end or somewhat later
         return end - self._exposure, end - self._exposure / 2, math.hypot(sigma, self._exposure / UNIFORM)
 
-    def _image(self) -> object:
+    def _image(self) -> np.ndarray:
         good, image = self._capture.retrieve()
         if not good or image is None:
             raise CameraError(f"camera {self.name!r}: a frame could not be decoded")

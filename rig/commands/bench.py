@@ -42,15 +42,16 @@ def shutter_of(design: Design, clock: Clock) -> Shutter:
 def bench_of(design: Design, driver: Driver, shutter: Shutter, settling: Settling, clock: Clock) -> Bench:
     """The Bench of a design, its sensors opened where it states any."""
     sensing = Sensing(design.sensors, clock) if design.sensors else None
-    if settling.by == "limbs" and (sensing is None or not {f"m{i + 1}" for i in range(6)} <= set(design.sensors.channels)):
+    channels = set(design.sensors.channels) if design.sensors else set()
+    if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
         raise RigError("settling by limbs takes a [sensors] table with the channels m1 .. m6")
-    return Bench(driver, shutter, clock, settling, design.controller.tolerance, way_of(design), save_image, sensing.read if sensing else None,
+    return Bench(driver, shutter, clock, settling, design.driver().tolerance, way_of(design), save_image, sensing.read if sensing else None,
                  sensing.limbs if sensing else None)
 
 
 def way_of(design: Design) -> Callable[[np.ndarray, np.ndarray, float, float], Way]:
     """How a move goes in time: (start, goal (axes,) m, begun, ended s) -> Way, by the controller's stated speeds and accelerations."""
-    c = design.controller
+    c = design.driver()
 
     def way(start: np.ndarray, goal: np.ndarray, begun: float, ended: float) -> Way:
         travel = np.abs(goal - start)

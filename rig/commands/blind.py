@@ -251,6 +251,8 @@ def _record(out: Path, index: int) -> tuple[float, str | None] | None:
 def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
     """score.Case of one of a campaign. Raises RigError where the truth is not what was hashed."""
     truth, record = out / "truth" / f"{index:04d}.json", _record(out, index)
+    if record is None:
+        raise RigError(f"case {index} has not been diagnosed")
     if not truth.exists() or sha256(read_bytes(truth)).hexdigest() != _digest(out, index):
         raise RigError(f"{truth} is not what was hashed before the diagnosis; take the case out of the campaign")
     seconds, failed = record

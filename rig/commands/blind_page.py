@@ -81,7 +81,8 @@ def _strengths(cases: list[Case]) -> Any:
     axes = figure.subplots()
     for label, colour in zip(OUTCOMES, COLOURS):
         points = [(max(h.strength, 0.1), names.index(h.effect)) for c in cases if c.failed is None for h in c.hidden if outcome(c, h) == label]
-        axes.scatter(*(zip(*points) if points else ((), ())), color=colour, s=18, label=label, alpha=0.8)
+        at, height = zip(*points) if points else ((), ())
+        axes.scatter(at, height, color=colour, s=18, label=label, alpha=0.8)
     axes.axvline(score.STRONG, color="grey", lw=0.8)
     axes.set(xscale="log", xlabel="signal-to-noise", yticks=range(len(names)), yticklabels=names)
     axes.legend(fontsize=8, ncols=len(OUTCOMES), loc="lower center", bbox_to_anchor=(0.4, 1))

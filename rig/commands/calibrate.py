@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 from rig.commands import checking
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved
 from rig.errors import RigError
+from rig.kinds import arm_of, hexapod_of
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from calib.arms.certify import Certified as ArmCertified
     from calib.certify.certificate import Certified
     from calib.certify.claim import Claim
     from calib.correct.physics import Physics
@@ -106,12 +108,13 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
     from calib.report import calibration_page
 
     samples = sampled.samples if taken is None else taken.samples
-    done = certify(samples, recording.design.mechanism, rng, progress)
+    done = certify(samples, hexapod_of(recording.design.mechanism), rng, progress)
     if joint:
         from calib.correct.refined import refine
 
         progress("solving cameras and geometry together", 0, 1)
-        done = replace(done, **dict(zip(("correction", "found"), refine(sampled, recording.design, done.correction, done.found))))
+        correction, found = refine(sampled, recording.design, done.correction, done.found)
+        done = replace(done, correction=correction, found=found)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
     if out[1]:
@@ -179,7 +182,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     from calib.arms.report import calibration_page
     from calib.certify.verdict import verdict
 
-    done = certify(sampled.samples, recording.design.mechanism, recording.design.instrument, rng, progress)
+    done = certify(sampled.samples, arm_of(recording.design.mechanism), recording.design.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
     if out[1]:
@@ -187,7 +190,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
         calibration_page(out[1], recording, calibration, sampled.samples, done)
     progress.close()
     print("\n".join(verdict(claim)))
-    if done.held_out:
+    if done.held_out and done.geometry and done.scattered:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
         print("beyond the geometry: " + (f"joints {', '.join(map(str, kept))} corrected over the configuration space; the geometry alone leaves "
@@ -199,12 +202,12 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     _print_poses(sampled, done)
 
 
-def _print_poses(sampled: Sampled, done: Certified) -> None:
+def _print_poses(sampled: Sampled, done: Certified | ArmCertified) -> None:
     print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
           "them agree with one geometry")
 
 
-def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified, claim: Claim,
+def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
             known: tuple[Physics, np.ndarray] | None = None) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration

@@ -28,7 +28,7 @@ def driving(design: Design, trace: Path | None, say: Callable[[str], None], cloc
             stopping: bool = False) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
     stopping : the struts are stopped before anything is asked of the controller"""
-    c = design.controller
+    c = design.driver()
     with ExitStack() as stack:
         stack.enter_context(Occupied(c.usb or c.port))
         file = None
@@ -70,7 +70,7 @@ def print_status(status: Status, design: Design) -> None:
     from rig.errors import NotConverged
     from rig.pose import vector
 
-    homing = design.controller.homing
+    homing = design.driver().homing
     fault = f" ({status.fault})" if status.fault not in ("", status.activity) else ""
     print(f"{status.activity}{fault}{advice(status.activity, homing)}")
     if not status.known:

@@ -58,7 +58,7 @@ def run(arguments: Namespace) -> None:
     kept = tempfile.TemporaryDirectory(prefix="rig-emulate-")  # of what the cameras follow, where nobody else wants it
     followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
     history = emulators.History(emulator, followed) if followed else None
-    cameras = _cameras(arguments, followed) if arguments.cameras else None
+    cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
     for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
         signal.signal(number, signal.default_int_handler)
     try:

@@ -25,12 +25,13 @@ class Cameras:
         self._process.start()
         theirs.close()
         try:
-            good, self.name = ours.recv() if ours.poll(START) else (False, f"the cameras were not ready in {START:g} s")
+            good, name = ours.recv() if ours.poll(START) else (False, f"the cameras were not ready in {START:g} s")
         except EOFError:
-            good, self.name = False, "the cameras' process ended before it was ready"
+            good, name = False, "the cameras' process ended before it was ready"
+        self.name: str = name
         if not good:
             self.close()
-            raise RigError(self.name)
+            raise RigError(name)
 
     def close(self) -> None:
         """End the process."""
@@ -48,6 +49,7 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
     from rig.cameras.emulated import USUAL
     from rig.clock import SystemClock
     from rig.emulator.build import home_lengths
+    from rig.kinds import struts_of
     from synthetic import world
     from synthetic.eyes import Eyes, ToldByFile
     from synthetic.eyes_server import EyesServer
@@ -57,15 +59,15 @@ def _draw(design: str, truth: str | None, history: str, address: tuple[str, int]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the emulator ends this with it
     try:
         stated = design_file.load(design)
-        secret = world.from_truth(truth, stated) if truth else world.World(stated, stated)
+        secret = world.from_truth(Path(truth), stated) if truth else world.World(stated, stated)
         check_drawable(secret.effects)
         opengl()
         clock, images = SystemClock(), Images(stated.sensor)
-        home = home_lengths(stated.mechanism)
+        home = home_lengths(struts_of(stated.mechanism))
         at_home = Eyes(secret, images, seed, lambda: (np.array([0.0, 1.0]), np.array([home, home])), clock)
         for camera in secret.true.cameras:  # what is compiled and loaded for the first pictures is not waited for later
             at_home.image(camera.name, 1.0, USUAL)
-        server = EyesServer(Eyes(secret, images, seed, ToldByFile(history), clock), address, clock)
+        server = EyesServer(Eyes(secret, images, seed, ToldByFile(Path(history)), clock), address, clock)
     except RigError as error:
         pipe.send((False, str(error)))
         return

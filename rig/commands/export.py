@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError
+from rig.kinds import Mechanism, arm_of, hexapod_of
 
 if TYPE_CHECKING:
     from rig.design import Arm, Free, Hexapod, Planar2
@@ -47,9 +48,9 @@ def run(arguments: Namespace) -> None:
     if mechanism.kind not in kinds:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out) if arguments.out else None
-    text = {"genhexkins": lambda: genhexkins.text(mechanism, arguments.units, lead, arguments.coupling),
-            "urdf": lambda: urdf.text(mechanism, arguments.machine.stem), "json": lambda: geometry.as_json(mechanism),
-            "csv": lambda: geometry.as_csv(mechanism)}[arguments.format]()
+    text = {"genhexkins": lambda: genhexkins.text(hexapod_of(mechanism), arguments.units, lead, arguments.coupling),
+            "urdf": lambda: urdf.text(arm_of(mechanism), arguments.machine.stem), "json": lambda: geometry.as_json(_exported(mechanism)),
+            "csv": lambda: geometry.as_csv(_exported(mechanism))}[arguments.format]()
     if remainder:
         print(f"rig export: the calibration corrects axes {', '.join(map(str, remainder))} beyond the geometry; {arguments.format} cannot hold that, "
               "use `rig correct` where it matters", file=sys.stderr)
@@ -77,3 +78,8 @@ def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], flo
               file=sys.stderr)
     every = correction.extension is not None
     return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None or every], None
+
+
+def _exported(mechanism: Mechanism) -> Hexapod | Arm:
+    """The mechanism, which has a geometry that can be written."""
+    return arm_of(mechanism) if mechanism.kind == "arm" else hexapod_of(mechanism)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_port
 from rig.errors import RigError
+from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -46,11 +47,11 @@ def run(arguments: Namespace) -> None:
     design = design_of(arguments.rig, arguments.port)
     calibration = store.load(arguments.calibration)
     correction = calibration.correction
-    _same(correction.nominal, design.mechanism, arguments)
+    _same(correction.nominal, hexapod_of(design.mechanism), arguments)
     wanted = pose_of(arguments.pose)
     home = mechanisms.of(correction.nominal).home(correction.nominal)
     lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
-    reachable(np.array([lengths]), design.mechanism, ["the pose"])
+    reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
     print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
     if arguments.dry_run:
         return

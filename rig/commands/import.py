@@ -78,10 +78,14 @@ def _say(imported: "Imported") -> None:
     e, parts = imported.exposed, []
     pictures = sum(bool(name) for name in e.camera)
     parts.append(f"{len(set(e.frame))} frames" + (f", {pictures} images of {len(set(e.camera))} cameras" if pictures else ""))
-    for part, word in ((imported.commanded, "commands"), (imported.posed, "poses"), (imported.logged, "rows of sensors")):
-        if part is not None:
-            parts.append(f"{len(part.T if word == 'poses' else part.t)} {word}")
-    print(f"imported: {', '.join(parts)}, over {float(max(e.t) - min(e.t)):.6g} s")
+    commanded, posed, logged = imported.commanded, imported.posed, imported.logged
+    for count, word in ((commanded and len(commanded.values), "commands"), (posed and len(posed.T), "poses"),
+                        (logged and len(logged.t), "rows of sensors")):
+        if count is not None:
+            parts.append(f"{count} {word}")
+    if e.t:
+        parts[-1] += f", over {float(max(e.t) - min(e.t)):.6g} s"
+    print(f"imported: {', '.join(parts)}")
     if imported.said:
         print("assumed, as nothing says otherwise:" if len(imported.said) > 1 else "assumed:")
     for line in imported.said:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
+from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +39,7 @@ def run(arguments: Namespace) -> int:
     nominal = insitu.stated(recording.design)
     frames, lengths = insitu.readings(recording)
     sampled = sample_recording(recording, progress=Progress())
-    samples, sigma = insitu.read(sampled.samples, frames, lengths), recording.design.insitu.length_sigma
+    samples, sigma = insitu.read(sampled.samples, frames, lengths), insitu.length_sigma(recording.design)
     T, expected = insitu.held_out(samples, nominal, sigma)
     found = insitu.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
     _print(found, sampled.source)
@@ -89,7 +90,7 @@ def _learn(arguments: Namespace, recording: Recording, limbs: Any, frames: np.nd
         learner.new_session(common.shape[2])
         print(f"going on after {learner.number} poses")
     else:
-        learner = Online(recording.design.mechanism, shared=common.shape[2])
+        learner = Online(hexapod_of(recording.design.mechanism), shared=common.shape[2])
         learner.data = set(flat(of))
     first, checked = learner.number, 0
     at = {frame: i for i, frame in enumerate(samples.frame.tolist())}

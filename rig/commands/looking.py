@@ -4,7 +4,7 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -16,6 +16,7 @@ from rig.commands.online import said
 from rig.design import Design
 from rig.errors import NotConverged, RigError
 from rig.journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Row
+from rig.kinds import struts_of
 from rig.operate import Shot
 from rig.steps import Step, distances
 from vision.reading.live import Live, Sight
@@ -85,7 +86,7 @@ class Looking:
         speed = design.controller.max_speed.min() if design.controller else np.inf
         self._travel, self._planned = self._way / speed, planned
         frames = sum(step.frames for step in planned)
-        self.view = View("starting", 0, frames, 0, len(planned), float("nan"), start, start, design.mechanism.strut_range, (), None, None)
+        self.view = View("starting", 0, frames, 0, len(planned), float("nan"), start, start, struts_of(design.mechanism).strut_range, (), None, None)
         self._lock = threading.RLock()
         self._queue: queue.Queue[Shot | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
@@ -125,7 +126,7 @@ class Looking:
         self._reason = self._reason or reason
         self._halt()
 
-    def update(self, **changes: object) -> None:
+    def update(self, **changes: Any) -> None:
         """Show what has changed of the view."""
         with self._lock:
             self.view = replace(self.view, **changes)
@@ -160,18 +161,18 @@ class Looking:
     def _work(self) -> None:
         while (shot := self._queue.get()) is not None:
             try:
-                if self._failed is None:
-                    self._measure(shot)
+                if self._failed is None and self._live is not None:
+                    self._measure(shot, self._live)
             except RigError as error:
                 self.warn(Alarm("unseen", f"frame {shot.number} could not be measured: {error}"))
             except Exception as error:  # ours, and no reason to lose the run: it is stopped, and `finish` raises it
                 self._failed = error
                 self.ask_stop(f"measuring frame {shot.number} failed: {error!r}")
 
-    def _measure(self, shot: Shot) -> None:
-        sight = self._live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
+    def _measure(self, shot: Shot, live: Live) -> None:
+        sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
         delay = self._clock.now() - max(frame.t for frame in shot.frames.values())
-        alarms, learnt = self._watch.look(sight, self._live.noise), None
+        alarms, learnt = self._watch.look(sight, live.noise), None
         if self._learner is not None and sight.covariance is not None:
             learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
             alarms += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
@@ -188,7 +189,7 @@ class Looking:
         self.update(seen=Seen(shot, sight, learnt, delay, rms, blur))
         for alarm in alarms:
             self.warn(alarm)
-        self._live.adjust()
+        live.adjust()
 
     def _expected(self, shot: Shot) -> RigidTransform | None:
         """Where the platform ought to be."""

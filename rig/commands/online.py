@@ -128,7 +128,7 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
 
 def said(change: Change, frame: int) -> str:
     """A Change in words; frame : number of the first frame after it."""
-    if change.kind == "frame":
+    if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
         return (f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad: "
                 "a camera or the base was knocked")

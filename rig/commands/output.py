@@ -24,7 +24,10 @@ class Progress:
 
     def __init__(self, silent: float = 1.0) -> None:
         """silent : s, from now, in which nothing is shown: who is quick needs no bar"""
-        self.bar, self.label, self.timer, self.from_then = None, None, None, time.monotonic() + silent
+        self.bar: Any = None
+        self.label: str | None = None
+        self.timer: threading.Timer | None = None
+        self.from_then = time.monotonic() + silent
 
     def __call__(self, label: str, done: int, of: int) -> None:
         from tqdm import tqdm
@@ -107,8 +110,8 @@ def print_comparison(held: HeldOut, title: str) -> None:
     for name, figures in (("owner's model", held.before), ("corrected", held.after)):
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
-    rotation = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
-    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm{rotation}")
+    turned = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
+    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm{turned}")
 
 
 def _cell(value: float) -> str:

@@ -64,7 +64,7 @@ def run(arguments: Namespace) -> None:
     arrived = now is not None and np.abs(difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and arguments.motion == "end":
         raise RigError("--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way (--motion way)")
-    first = now if arrived else mechanism.inverse(wanted, arm, now)
+    first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
     starts = first[None] if arrived and arguments.motion == "end" else _starts(first, wanted, arm)
     rng = np.random.default_rng(SEED)
     found = {"gradient": search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
@@ -94,7 +94,7 @@ def _arm(text: str) -> Arm:
     if not Path(text).exists() and not shipped.is_file() and not Path(text).suffix:
         names = sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
         raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names)}")
-    mechanism = design_file.load(shipped if not Path(text).exists() and shipped.is_file() else text).mechanism
+    mechanism = design_file.load(str(shipped) if not Path(text).exists() and shipped.is_file() else text).mechanism
     if mechanism.kind != "arm":
         raise RigError(f"{text} has a mechanism of kind {mechanism.kind!r}; postures are for arms")
     return mechanism
@@ -114,7 +114,7 @@ def _directions(arguments: Namespace) -> tuple[str, ...]:
     return tuple(name for name in DIRECTIONS if name in chosen)
 
 
-def _numbers(texts: list[str], count: int, option: str) -> np.ndarray:
+def _numbers(texts: list[str], count: int, option: str) -> list[float]:
     try:
         numbers = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
     except ValueError:

@@ -60,7 +60,8 @@ def run(arguments: Namespace) -> int:
     planned = steps(build(design, arguments.plan, arguments.seed))
     settle, options = settling(arguments.settle), _options(arguments)
     if arguments.dry_run:
-        return _dry_run(design, planned)
+        _dry_run(design, planned)
+        return 0
     _place(arguments)
     return _run(arguments, design, planned, settle, options)
 
@@ -91,15 +92,16 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 
     from rig.commands.driving import lengths_text
     from rig.emulator.build import home_lengths
+    from rig.kinds import struts_of
     from rig.steps import check, distances
 
-    c = design.controller
-    start = c.home if c.home is not None else home_lengths(design.mechanism)
+    c = design.driver()
+    start = c.home if c.home is not None else home_lengths(struts_of(design.mechanism))
     check(planned, start, check_move(design))
     way = distances(planned, start)
     for k, step in enumerate(planned):
-        frames = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
-        print(f"step {k + 1}: {lengths_text(step.goal)}, {way[k] * 1e3:.1f} mm to go, {frames}")
+        exposed = f"{step.frames} frame{'s' * (step.frames != 1)}" if step.frames else "passed on the way"
+        print(f"step {k + 1}: {lengths_text(step.goal)}, {way[k] * 1e3:.1f} mm to go, {exposed}")
     frames, pixels = sum(step.frames for step in planned), sum(camera.width * camera.height for camera in design.cameras)
     print(f"{len(planned)} steps, {frames} frames of {len(design.cameras)} cameras, {way.sum():.2f} m of the busiest strut, "
           f"{(way / np.min(c.max_speed)).sum() / 60:.1f} min of moving; at most {frames * pixels / 1e9:.2f} GB of images; nothing was moved")
@@ -108,10 +110,12 @@ def _dry_run(design: Design, planned: tuple[Step, ...]) -> None:
 def check_move(design: Design) -> Callable[[np.ndarray, np.ndarray], None]:
     """(start, goal (axes,) m) -> None: raises Unreachable where the controller's driver would refuse the move."""
     from rig import path_check
+    from rig.kinds import struts_of
+
+    c, m = design.driver(), struts_of(design.mechanism)
 
     def check(start: np.ndarray, goal: np.ndarray) -> None:
-        path_check.check_path(start, path_check.check_lengths(goal, design.mechanism), design.mechanism, design.controller.margin,
-                              design.controller.max_step)
+        path_check.check_path(start, path_check.check_lengths(goal, m), m, c.margin, c.max_step)
 
     return check
 
@@ -148,18 +152,18 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
             print(f"the journal's last line was cut off ({journal.torn} bytes) and is taken away: nothing of it was reported")
         fresh = not journal.rows
         if not fresh:
-            _same(journal.rows[0], planned, arguments)
+            _same(_began(journal), planned, arguments)
         shutter = shutter_of(design, clock)
         stack.callback(shutter.close)
-        told = [print]  # who takes what the driver says: the terminal, then the journal too
+        told: list[Callable[[str], None]] = [print]  # who takes what the driver says: the terminal, then the journal too
         if not arguments.no_measure:
             Thread(target=warm, args=(design,), daemon=True).start()
-        driver = stack.enter_context(driving(design, arguments.trace, lambda text: [tell(text) for tell in told], clock))
+        driver = stack.enter_context(driving(design, arguments.trace, lambda text: _tell(told, text), clock))
         status = settled_status(driver, clock)
         if arguments.no_home and not status.known:
             driver.trust()
         believed = status.known or arguments.no_home
-        homes = design.controller.homing and not (arguments.no_home if fresh else believed)
+        homes = design.driver().homing and not (arguments.no_home if fresh else believed)
         if not homes and not believed:
             raise PositionLost(f"where the struts stand is not known; {TRUST}")
         if homes:
@@ -188,9 +192,24 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     return 0
 
 
+def _tell(told: list[Callable[[str], None]], text: str) -> None:
+    for tell in told:
+        tell(text)
+
+
+def _began(journal: Journal) -> Began:
+    """A journal's first row. Raises RigError where that is not how a run begins."""
+    from rig.journal import Began
+
+    first = journal.rows[0]
+    if not isinstance(first, Began):
+        raise RigError(f"{journal.path} does not begin with the beginning of a run")
+    return first
+
+
 def _origin(journal: Journal, clock: Clock) -> float:
     """s, the clock's time at t = 0 of the recording; where the computer's clock was set back since, so that time still goes on."""
-    origin, last = journal.rows[0].wall, journal.rows[-1].t
+    origin, last = _began(journal).wall, journal.rows[-1].t
     if clock.now() - origin > last:
         return origin
     print(f"the computer's clock has been set back by {last - (clock.now() - origin):.1f} s or more since; the recording's goes on")

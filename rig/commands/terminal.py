@@ -15,7 +15,8 @@ class Lines:
     """Plain lines, for pipes and logs."""
 
     def __init__(self, out: TextIO | None = None) -> None:
-        self._out, self._phase, self._seen = out or sys.stdout, "", None
+        self._out, self._phase = out or sys.stdout, ""
+        self._seen: Seen | None = None
         self._last: tuple = ()
 
     def show(self, view: View) -> None:

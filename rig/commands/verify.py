@@ -13,7 +13,7 @@ from rig.commands.output import SEED, Progress, add_recording, print_comparison,
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.certify.certificate import Figures, HeldOut
+    from calib.certify.held_out import Figures, HeldOut
     from calib.certify.claim import Claim
     from calib.pipeline import Sampled
     from calib.samples import Samples

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stop_on: frozenset[str],
-               halt: Callable[[], None]) -> Looking:
+               halt: Callable[[], object]) -> Looking:
     """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
     calibration = store.load(arguments.calibration) if arguments.calibration else None
     if calibration is not None:

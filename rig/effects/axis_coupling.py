@@ -1,13 +1,13 @@
 """An axis takes part in another one's travel: wrist gears, a cable, a shared belt."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from rig.effects.base import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.covariate import Covariate, travel
-from rig.effects.drawing import Drawing, value
+from rig.effects.drawing import Drawing, number
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +37,9 @@ class AxisCoupling(Effect):
         return travel(np.repeat(motion.stroke[:, [other]], len(motion.places), axis=1), motion, f"stroke of {motion.places[other]} from home")
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "AxisCoupling":
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         others = [float(i + 1) for i, other in enumerate(drawing.motion.places) if other != place]
-        return cls(place, float(value(cls.parameters[0], drawing, rng)), float(rng.choice(others)))
+        return cls(place, number(cls.parameters[0], drawing, rng), float(rng.choice(others)))
 
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:

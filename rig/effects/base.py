@@ -226,7 +226,7 @@ class Effect:
         return np.stack(out, axis=-1)
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Effect":
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         """One of a plausible size at a place. What starts at a moment only if need be (its default is that of no moment) does so now and then."""
         values = {}
         for p in cls.parameters_at(place):

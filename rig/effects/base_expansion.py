@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.base import REFERENCE_TEMPERATURE, Context, Effect, Motion, Parameter
 from rig.effects.covariate import Covariate, temperature
+from rig.errors import RigError
 
 AMBIENT = "ambient_temperature_C"
 
@@ -32,7 +33,10 @@ class BaseExpansion(Effect):
 
     def deviation(self, motion: Motion) -> np.ndarray:
         scale = 1 + self.coefficient * (motion.channel(AMBIENT) - REFERENCE_TEMPERATURE)
-        base, tips = motion.kind.ends(motion.T, motion.mechanism)
+        ends = motion.kind.ends(motion.posed(), motion.mechanism)
+        if ends is None:
+            raise RigError(f"{self.name} takes struts on a base plate")
+        base, tips = ends
         moved = np.linalg.norm(tips - scale[:, None, None] * base, axis=2)
         return np.linalg.norm(tips - base, axis=2) - moved
 

@@ -18,7 +18,7 @@ class Linear(NamedTuple):
     """A column of the model: a parameter's name (or QUADRATURE), which number of a vector or None, and a small step of it."""
 
     name: str
-    index: int | None
+    entry: int | None
     step: float
 
 

@@ -34,7 +34,7 @@ def page(effects: Iterable[type[Effect]] = ALL) -> str:
 def entry(effect: type[Effect]) -> str:
     """One effect's part of the page."""
     rows = [row(p, effect) for p in effect.parameters]
-    return (f"\n### {effect.name}\n\n{_prose(effect.__doc__)}\n\n"
+    return (f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
             f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
             "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
             f"Shown by: {effect.experiment.format(axis='axis')}.\n\nWhat to do: {effect.action.format(axis='axis')}\n")

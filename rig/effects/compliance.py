@@ -1,7 +1,7 @@
 """Axes give under load, in static equilibrium."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from scipy.linalg import qr
@@ -91,7 +91,7 @@ class Compliance(Effect):
         return [Candidate(cls, place, [node], [Linear("moments", int(i), 1e-5) for i in kept], "links' moments")]
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Compliance":
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         if not drawing.motion.no_loads() or drawing.motion.T is None:
             return super(Compliance, cls).drawn(place, drawing, rng)
         links = drawing.motion.links().shape[2] // 4
@@ -106,7 +106,7 @@ class Compliance(Effect):
             return super(Compliance, cls).columns(candidate, node, motion)
         i = motion.places.index(candidate.place)
         out = np.zeros((*motion.lengths.shape, len(candidate.linear)))
-        out[:, i] = -motion.links()[:, i][:, [column.index for column in candidate.linear]]
+        out[:, i] = -motion.links()[:, i][:, [column.entry for column in candidate.linear if column.entry is not None]]
         return out
 
 

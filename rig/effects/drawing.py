@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ class Drawing:
     design: Design
     t: np.ndarray
     motion: Motion
-    displaced: Callable[[object, Camera], float]
+    displaced: Callable[[Any, Camera], float]
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -40,3 +41,11 @@ def value(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float | t
     if p.size == 1:
         return float(rng.choice([-1, 1]) * size) if p.signed else size
     return tuple((size / np.sqrt(p.size) * rng.normal(size=p.size)).tolist())
+
+
+def number(p: Parameter, drawing: Drawing, rng: np.random.Generator) -> float:
+    """A parameter of one number drawn over what rigs show. Raises ValueError for one of several"""
+    drawn = value(p, drawing, rng)
+    if isinstance(drawn, tuple):
+        raise ValueError(f"{p.name} has {len(drawn)} numbers")
+    return float(drawn)

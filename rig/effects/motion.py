@@ -123,10 +123,11 @@ class Motion:
 
     def turn(self) -> float:
         """m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn. Raises RigError where no lead is stated."""
-        reason = self.no_turn()
-        if reason:
-            raise RigError(f"the model {reason}")
-        return 2 * np.pi if self.kind.UNIT == "rad" else self.actuator.screw_lead
+        if self.kind.UNIT == "rad":
+            return 2 * np.pi
+        if self.actuator.screw_lead is None:
+            raise RigError(f"the model {self.no_turn()}")
+        return self.actuator.screw_lead
 
     def no_turn(self) -> str | None:
         """Why the travel of one turn is not known, or None."""
@@ -135,7 +136,7 @@ class Motion:
     def channel(self, *names: str) -> np.ndarray:
         """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording lacks them all."""
         reason = self.no_channel(*names)
-        if reason:
+        if reason or self.sensors is None:
             raise RigError(f"the model {reason}")
         return self.sensors.at(self.t, *names)
 
@@ -150,6 +151,12 @@ class Motion:
         """(n,) kg on the platform; 0 where nobody logged any."""
         logged = self.sensors is not None and "payload_mass_kg" in self.sensors.channels
         return self.channel("payload_mass_kg") if logged else np.zeros(len(self.t))
+
+    def posed(self) -> RigidTransform:
+        """T, the poses (n,). Raises ValueError for a Motion that has none."""
+        if self.T is None:
+            raise ValueError("this takes a motion with its poses")
+        return self.T
 
     def loads(self) -> np.ndarray:
         """(n, axes) N or N m with which the axes hold the platform and its payload at the poses T, worked out once.
@@ -171,13 +178,20 @@ class Motion:
 
     def _loads(self) -> np.ndarray:
         platform, payload = self.platform, self.payload()
-        down = np.swapaxes(self.T.rotation.as_matrix(), 1, 2) @ self.gravity  # acceleration in the platform's axes
-        wrench = np.concatenate([platform.mass * down, np.cross(platform.centre_of_mass, platform.mass * down)], axis=1)
+        down = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2) @ self.gravity  # acceleration in the platform's axes
+        wrench = np.concatenate([platform.mass * down, _moment(platform.centre_of_mass, platform.mass * down)], axis=1)
         if payload.any():
             weight = payload[:, None] * down
-            wrench += np.concatenate([weight, np.cross(platform.payload_centre_of_mass, weight)], axis=1)
+            wrench += np.concatenate([weight, _moment(platform.payload_centre_of_mass, weight)], axis=1)
         return self.kind.loads(self.T, self.lengths, self.mechanism, wrench)
 
     def links(self) -> np.ndarray:
         """(n, axes, c) load of the axes per kg and kg m of the machine's own members, worked out once: see mechanisms.kind."""
         return self.once(("links",), lambda: self.kind.links(self.T, self.lengths, self.mechanism, self.gravity))
+
+
+def _moment(arm: np.ndarray | None, force: np.ndarray) -> np.ndarray:
+    """(n, 3) N m of forces (n, 3) N at a place (3,) m."""
+    if arm is None:
+        raise ValueError("where a weight acts is not stated")
+    return np.cross(arm, force)

@@ -124,8 +124,9 @@ def placed(effect: Effect, design: Design) -> Effect:
     there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
              "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
     asked = [(kind, name)] if name and kind in there else []
-    if effect.name == "marker_swap" and effect.other >= 0:
-        asked.append(("marker", f"{effect.other:g}"))
+    other = getattr(effect, "other", -1.0) if effect.discrete else -1.0
+    if other >= 0:
+        asked.append(("marker", f"{other:g}"))
     for what, one in asked:
         if one not in there[what]:
             near = slip(one, there[what])

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.design import Camera
 from rig.effects.base import Candidate, Context, Effect, Parameter
-from rig.effects.drawing import Drawing, value
+from rig.effects.drawing import Drawing, number
 
 INDEX = 1.5  # of the window's glass against air
 SQUARE, MOST = 0.5, np.radians(45)  # of drawn windows: share that is not tilted, greatest tilt of the others
@@ -66,8 +66,8 @@ class Refraction(Effect):
         return replace(self, normal=tuple((np.asarray(self.normal) / np.linalg.norm(self.normal)).tolist()))
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Refraction":
-        thickness = float(value(cls.parameters[0], drawing, rng))
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
+        thickness = number(cls.parameters[0], drawing, rng)
         if rng.random() < SQUARE:
             return cls(place, thickness)
         tilt, toward = rng.uniform(0, MOST), rng.uniform(0, 2 * np.pi)

@@ -9,6 +9,7 @@ from rig.effects.base import Effect, Motion, Parameter
 from rig.effects.cardans import cardan_twist
 from rig.effects.covariate import Covariate
 from rig.errors import RigError
+from rig.kinds import hexapod_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,4 +43,5 @@ class ScrewCoupling(Effect):
         reason = self.needs(motion)
         if reason:
             raise RigError(f"{self.name} {reason}")
-        return cardan_twist(motion.T, motion.mechanism) - cardan_twist(motion.mechanism.home, motion.mechanism)
+        m = hexapod_of(motion.mechanism)
+        return cardan_twist(motion.posed(), m) - cardan_twist(m.home, m)

@@ -1,7 +1,7 @@
 """A repeatable profile of an axis' own position: lead of the screw, gear, encoder."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -67,7 +67,7 @@ class TransmissionError(Effect):
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "TransmissionError":
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         profile = np.cumsum(rng.normal(size=rng.integers(6, 12)))
         profile -= profile.mean()
         return cls(place, tuple((profile * log_uniform(rng, *cls.parameters[0].at(place).usual) / np.sqrt(np.mean(profile**2))).tolist()))
@@ -84,7 +84,7 @@ class TransmissionError(Effect):
         return out
 
 
-def basis(q: np.ndarray, span: tuple[float, float] | np.ndarray, values: np.ndarray) -> np.ndarray:
+def basis(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
     """(n, ...) natural cubic splines through values (knots, ...) at even knots over a span, at q (n,)."""
     low, high = span
     return CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(np.clip(q, low, high))

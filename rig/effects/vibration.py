@@ -70,7 +70,7 @@ class Vibration(Effect):
         return 2 * np.pi * self.frequency * motion.t + self.phase
 
     @classmethod
-    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> "Vibration":
+    def drawn(cls, place: str, drawing: Drawing, rng: np.random.Generator) -> Self:
         return super(Vibration, cls).drawn(place, drawing, rng).written()
 
     @classmethod

@@ -31,7 +31,7 @@ class Axes:
             i, late = self._piece(t)
             return self._p[i] + late * (self._v[i] + late / 2 * self._a[i])
 
-    def lengths_at(self, t: np.ndarray) -> np.ndarray:
+    def lengths_at(self, t: np.ndarray | float) -> np.ndarray:
         """(..., n) m at times (...) s."""
         t = np.asarray(t, float)
         with self._lock:

@@ -13,6 +13,7 @@ from rig.emulator.linuxcnc import LinuxCNC
 from rig.emulator.machine import Machine
 from rig.emulator.struts import Struts
 from rig.errors import RigError
+from rig.kinds import hexapod_of, struts_of
 
 ACCELERATION = 0.1  # m/s^2, where the rig.toml states none
 
@@ -23,9 +24,10 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
     start : (n,) m, lengths at first, by default those after homing; speed : factor on the struts' speed. Raises RigError for a start
     that the struts cannot have, and for a rig without a controller
     """
-    c, m = design.controller, design.mechanism
+    c = design.controller
     if c is None:
         raise RigError("the rig.toml has no [controller]; its speeds and zeros are what an emulator needs")
+    m = struts_of(design.mechanism)
     home = c.home if c.home is not None else home_lengths(m)
     start = home if start is None else np.array(start, float)
     low, high = m.strut_range.T
@@ -42,7 +44,7 @@ def of(design: Design, faults: Faults, clock: Clock, start: np.ndarray | None = 
     if c.protocol == "struts":
         return Struts(machine, faults, clock, limits)
     if c.protocol == "linuxcnc":
-        return LinuxCNC(machine, faults, clock, c.axes or tuple("XYZABC"[: len(home)]), limits, m if c.kinematics == "world" else None)
+        return LinuxCNC(machine, faults, clock, c.axes or tuple("XYZABC"[: len(home)]), limits, hexapod_of(m) if c.kinematics == "world" else None)
     raise RigError(f"there is no emulator of {c.protocol!r}")
 
 

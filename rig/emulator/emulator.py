@@ -52,7 +52,7 @@ class Emulator:
             self.replugged += 1
         return self._cut_until is None
 
-    def lengths_at(self, t: np.ndarray) -> np.ndarray:
+    def lengths_at(self, t: np.ndarray | float) -> np.ndarray:
         """(..., n) m at which the axes truly stood at t (...) s."""
         return self.machine.axes.lengths_at(t)
 

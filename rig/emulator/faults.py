@@ -49,7 +49,7 @@ def parse(text: str) -> tuple[Order, ...]:
         chance = np.nan
     if (kind not in KINDS and kind != "all") or (chance is not None and not 0 < chance <= 1) or (kind == "all" and chance is None):
         raise RigError(f"fault {text!r}: write KIND or KIND:RATE, the rate above 0 and at most 1; kinds are all (with a rate), {', '.join(KINDS)}")
-    if kind != "all":
+    if kind != "all" or chance is None:
         return (Order(kind, chance),)
     happening = [kind for kind in KINDS if kind not in ALWAYS]
     return tuple(Order(kind, chance / len(happening)) for kind in happening)

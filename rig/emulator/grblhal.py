@@ -242,7 +242,7 @@ class GrblHAL(Emulator):
             return
         self.faults.begin()
         take = self.faults.take
-        duration = np.linalg.norm(target - start) / (self._feed / MM / 60) if self._motion else 0.0
+        duration = float(np.linalg.norm(target - start)) / (self._feed / MM / 60) if self._motion else 0.0
         if take("ok-after-error"):
             self._fail(1)
             self._error = 0

@@ -102,7 +102,7 @@ class Tcp:
             self._caller = self._listening.accept()[0]
             self._caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return b""
-        if not ready:
+        if not ready or self._caller is None:
             return b""
         try:
             data = self._caller.recv(MOST)

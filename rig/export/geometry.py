@@ -1,6 +1,7 @@
 """A geometry as JSON or CSV: every figure in m and rad, to the last bit (JSON) or to a picometre (CSV)."""
 
 import json
+from collections.abc import Iterable
 
 from rig.design import Arm, Hexapod
 from rig.pose import vector
@@ -23,9 +24,11 @@ def as_json(mechanism: Hexapod | Arm) -> str:
 
 def as_csv(mechanism: Hexapod | Arm) -> str:
     """CSV of a Hexapod, a row per strut, or of an Arm, a row per joint."""
+    header: tuple[str, ...] = HEXAPOD if mechanism.kind == "hexapod" else ARM
+    parts: Iterable[tuple]
     if mechanism.kind == "hexapod":
-        header, parts = HEXAPOD, zip(mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range)
+        parts = zip(mechanism.base_joints, mechanism.platform_joints, mechanism.strut_zeros[:, None], mechanism.strut_range)
     else:
-        header, parts = ARM, (([*row, 0.0][:5], limits) for row, limits in zip(mechanism.joints, mechanism.limits))
+        parts = (([*row, 0.0][:5], limits) for row, limits in zip(mechanism.joints, mechanism.limits))
     rows = [",".join([str(i + 1), *(f"{value:.12f}" for part in row for value in part)]) for i, row in enumerate(parts)]
     return "\n".join([",".join(header), *rows]) + "\n"

@@ -31,7 +31,7 @@ class Outputs:
         try:
             if kind is None:
                 self.finish()
-            for folder, _ in self._growing:
+            for folder in [folder for folder, _ in self._growing]:
                 if kind is None:
                     write_text(folder / MANIFEST, Made(self._origin(True), load(folder).files).text())
         finally:

@@ -61,6 +61,8 @@ def assemble(recipe: Recipe) -> Imported:
     if recipe.poses is not None:
         posed = poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
         exposed, posed = _placed(exposed, posed, commanded)
+    if exposed is None:
+        raise RigError("there is nothing that was seen")
     commanded = _clocked(exposed, commanded)
     logged = sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
     _together(exposed, commanded)
@@ -140,7 +142,7 @@ def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Dec
     """(n, axes) commanded at n poses: at their times, at those of their frames, or row for row; None where none of these tells."""
     if commanded is None:
         return None
-    known = {} if exposed is None else dict(zip(exposed.frame, exposed.t))
+    known = {} if exposed is None else dict(zip(exposed.frame, exposed.times()))
     if t is None and frame is not None and set(frame.tolist()) <= set(known):
         t = [known[int(number)] for number in frame]
     if t is None and len(known) == n:
@@ -172,7 +174,7 @@ def _placed(exposed: Exposed | None, posed: Posed, commanded: Commanded | None) 
             numbers = [int(r) for r in np.argsort(np.argsort(np.array([float(x - t[order[0]]) for x in t]), kind="stable"))]
         empty = Exposed([numbers[k] for k in order], [t[k] for k in order], [""] * n, [Path()] * n, frames.Images(()), ())
         return empty, replace(posed, frame=np.array(numbers), said=said)
-    known = dict(zip(exposed.frame, exposed.t))
+    known = dict(zip(exposed.frame, exposed.times()))
     if posed.frame is None and posed.t is not None:
         known_frames, at = list(known), list(known.values())
         nearest = [min(range(len(at)), key=lambda k: abs(at[k] - s)) for s in posed.t]
@@ -192,7 +194,7 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     """Commands with times: those of the frames, where they have none of their own and are as many."""
     if commanded is None or commanded.t is not None:
         return commanded
-    at = dict(zip(exposed.frame, exposed.t))
+    at = dict(zip(exposed.frame, exposed.times()))
     if commanded.frame is not None and set(commanded.frame.astype(int).tolist()) <= set(at):
         return replace(commanded, t=[at[int(n)] for n in commanded.frame])
     if len(at) != len(commanded.values):
@@ -202,9 +204,9 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
 
 def _together(exposed: Exposed, commanded: Commanded | None) -> None:
     """Raise RigError where frames and commands are on different clocks."""
-    if commanded is None:
+    if commanded is None or commanded.t is None:
         return
-    t = sorted(set(exposed.t))
+    t = sorted(set(exposed.times()))
     first, last = commanded.t[0], commanded.t[-1]
     after = sum(s > last for s in t)
     if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
@@ -220,19 +222,19 @@ def write(imported: Imported, out: Path) -> None:
     e = imported.exposed
     write_bytes(out / "rig.toml", read_bytes(imported.recipe.rig))
     rows = []
-    for frame, t, camera, path in zip(e.frame, e.t, e.camera, e.path):
+    for frame, t, camera, path in zip(e.frame, e.times(), e.camera, e.path):
         name = f"images/{camera}/{frame:05d}{path.suffix.lower()}" if camera else ""
         if name:
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             write_bytes(out / name, read_bytes(path, LARGEST_IMAGE_FILE))
         rows.append(f"{frame},{_text(t)},{camera},{name}")
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"), rows)
-    c = imported.commanded
-    if c is not None:
+    c, posed = imported.commanded, imported.posed
+    if c is not None and c.t is not None:
         write_table(out / "commands.csv", ("t", *imported.design.mechanism.axes),
                     [",".join([_text(t), *(_figure(v) for v in values)]) for t, values in zip(c.t, c.values)])
-    if imported.posed is not None:
-        write_poses(out / "poses.csv", Poses(imported.posed.frame, imported.posed.T, None))
+    if posed is not None and posed.frame is not None:
+        write_poses(out / "poses.csv", Poses(posed.frame, posed.T, None))
     if imported.logged is not None:
         names, columns_of = zip(*imported.logged.channels)
         write_table(out / "sensors.csv", ("t", *names), [",".join([_text(t), *(_figure(v) for v in values)])

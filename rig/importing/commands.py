@@ -13,6 +13,7 @@ from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
 from rig.importing.dialect import Cells, read
 from rig.importing.recipe import ForeignTable
+from rig.kinds import arm_of, struts_of
 from rig.mistakes.clocks import FASTEST, SLOWEST, USUAL
 
 
@@ -62,12 +63,12 @@ def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) ->
     if unit is not None and unit not in (*kind, "steps"):
         raise RigError(f"{table.file}: {unit} is no unit of {'angles' if kind is units.ANGLES else 'lengths'}; there are {', '.join(kind)}, steps")
     if kind is units.ANGLES:
-        return _angles(values, unit, table, design.mechanism.limits)
+        return _angles(values, unit, table, arm_of(design.mechanism).limits)
     if unit == "steps":
         if table.steps_per_mm is None:
             raise RigError(f"{table.file}: lengths are in steps; how many make a millimetre? --set commands.steps_per_mm=N")
         values = values / table.steps_per_mm
-    m = design.mechanism
+    m = struts_of(design.mechanism)
     home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
     return _lengths(values, unit, table, m.strut_range, home)
 
@@ -100,7 +101,7 @@ def _lengths(values: np.ndarray, unit: str | None, table: ForeignTable, ranges: 
     if not fit and (unit is None or table.relative is None):
         raise RigError(f"{said}: they fit in no unit, neither joint to joint nor from home; look at strut_range and home, or state both: "
                        "--set commands.unit=mm --set commands.relative=zero")
-    u, r = fit[0] if fit else (asked[0], table.relative)
+    u, r = fit[0] if fit else (asked[0], table.relative or "zero")
     q = values / units.LENGTHS[u] + (home if r == "home" else 0.0)
     told = () if unit and table.relative else (f"{table.file.name}: lengths are in {'steps' if unit == 'steps' else u}, {names[r]}"
                                                f"{'' if unit else ', as within strut_range and about its size in no other'}",)

@@ -169,7 +169,8 @@ def _no_groups(table: ForeignTable, found: Cells, lines: list[tuple[int, str]], 
     """Raise RigError where every decimal comma could as well part thousands."""
     if table.decimal is not None or found.table.decimal != "comma":
         return
-    cells = [cell for _, line in lines[1:] for cell in _split(line, found.table.separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
+    separator = found.table.separator or "comma"
+    cells = [cell for _, line in lines[1:] for cell in _split(line, separator) if "," in cell and NUMBER["comma"].fullmatch(cell)]
     if cells and all(GROUPED.fullmatch(cell) for cell in cells):
         raise ambiguous(f"{table.file}: {cells[0]} can be read in two ways",
                         [(f"{cells[0].replace(',', '.')}, a decimal comma", f"{name}.decimal=comma"),

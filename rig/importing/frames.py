@@ -48,6 +48,12 @@ class Exposed:
     images: Images
     said: tuple[str, ...]
 
+    def times(self) -> list[Decimal]:
+        """t. Raises RigError where nothing has told it."""
+        if self.t is None:
+            raise RigError("nothing tells when the images were taken")
+        return self.t
+
 
 def pictures(images: Images, design: Design) -> list[Picture]:
     """Pictures of the folders, in the order of their names. Raises RigError where names do not tell camera and frame or time."""
@@ -136,19 +142,22 @@ def exposed(found: list[Picture], images: Images, plausible: Callable[[np.ndarra
     said: tuple[str, ...] = ()
     t = None
     if all(timed):
-        read = times.read([p.stamp.replace("_", "T") for p in found], "images", "names of images", images.time_unit, images.zone, images.shift,
-                          lambda t: plausible(np.sort(t)))
+        stamps = [p.stamp.replace("_", "T") for p in found if p.stamp is not None]
+        read = times.read(stamps, "images", "names of images", images.time_unit, images.zone, images.shift, lambda t: plausible(np.sort(t)))
         t, said, images = read.seconds, read.said, replace(images, time_unit=read.unit, zone=read.zone)
-    if not all(numbered):
+    numbers = [p.frame for p in found if p.frame is not None]
+    if len(numbers) < len(found):
+        if t is None:
+            raise FileError(found[0].path, "its name tells neither a frame nor a time")
         return _grouped(found, t, images, said)
-    order = sorted(range(len(found)), key=lambda k: (found[k].frame, found[k].camera))
-    _once([(found[k].frame, found[k].camera, found[k].path) for k in order])
+    order = sorted(range(len(found)), key=lambda k: (numbers[k], found[k].camera))
+    _once([(numbers[k], found[k].camera, found[k].path) for k in order])
     if t is not None:
-        first = {}
+        first: dict[int, Decimal] = {}
         for k in order:
-            first.setdefault(found[k].frame, t[k])
-        t = [first[found[k].frame] for k in order]
-    return Exposed([found[k].frame for k in order], t, [found[k].camera for k in order], [found[k].path for k in order], images, said)
+            first.setdefault(numbers[k], t[k])
+        t = [first[numbers[k]] for k in order]
+    return Exposed([numbers[k] for k in order], t, [found[k].camera for k in order], [found[k].path for k in order], images, said)
 
 
 def _once(rows: list[tuple[int, str, Path]]) -> None:

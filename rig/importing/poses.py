@@ -7,7 +7,7 @@ from decimal import Decimal
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from rig.design import Design
+from rig.design import Design, Hexapod
 from rig.entries import LARGEST_RIG
 from rig.errors import RigError
 from rig.importing import columns, times, units
@@ -155,9 +155,10 @@ def _by_commands(ways: list[tuple], table: ForeignTable, design: Design, p: np.n
     for way in ways:
         if not any((way[2] * other[2].inv()).magnitude().max() < 1e-9 for other in distinct):
             distinct.append(way)
-    if q is not None and design.mechanism.kind == "hexapod" and len(p) >= LEAST:
+    m = design.mechanism
+    if q is not None and isinstance(m, Hexapod) and len(p) >= LEAST:
         def miss(R: Rotation) -> float:
-            return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), design.mechanism) - q) ** 2).mean()))
+            return float(np.sqrt(((hexapod.inverse(RigidTransform.from_components(p, R), m) - q) ** 2).mean()))
 
         ranked = sorted(distinct, key=lambda way: miss(way[2]))
         if len(ranked) == 1 or miss(ranked[0][2]) < BETTER * miss(ranked[1][2]):

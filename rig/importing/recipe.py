@@ -4,6 +4,7 @@ import os
 import tomllib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from rig.entries import Entries
 from rig.errors import FileError, RigError
@@ -118,8 +119,8 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
     for key in root.tree:
         if key not in ("schema", "rig", "images", "said", *TABLES):
             root.fail(f"unknown key {shown(key)}; there are rig, images, {', '.join(TABLES)}", key)
-    return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None,
-                  *(_foreign_table(root.table(name), folder) if name in root.tree else None for name in TABLES))
+    stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder) for name in TABLES if name in root.tree}
+    return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None, **stated)
 
 
 def _known(entries: Entries, kind: type) -> None:

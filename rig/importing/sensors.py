@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from functools import partial
 
 import numpy as np
 
@@ -13,9 +14,13 @@ from rig.importing import columns, times, units
 from rig.importing.dialect import read
 from rig.importing.recipe import ForeignTable
 
+def _over(per: float, values: np.ndarray) -> np.ndarray:
+    return values / per
+
+
 TO_SI: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "C": lambda v: v, "K": lambda v: v - 273.15, "F": lambda v: (v - 32) / 1.8, "kg": lambda v: v, "g": lambda v: v / 1000,
-    **{unit: (lambda v, per=per: v / per) for unit, per in units.LENGTHS.items()}}
+    **{unit: partial(_over, per) for unit, per in units.LENGTHS.items()}}
 SI = {"C": "C", "K": "C", "F": "C", "kg": "kg", "g": "kg"}
 
 
@@ -37,7 +42,8 @@ def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Log
     unit = units.split(cells.header[found["t"]])[1]
     read_times = times.read(cells.column(found["t"]), "sensors", table.file.name, table.time_unit or (unit if unit in units.TIMES else None),
                             table.zone, table.shift, plausible)
-    channels, kept, renamed = [], [("t", cells.header[found["t"]])], []
+    kept, renamed = [("t", cells.header[found["t"]])], []
+    channels: list[tuple[str, np.ndarray]] = []
     for at, header in enumerate(cells.header):
         if at == found["t"]:
             continue
@@ -47,7 +53,7 @@ def sensors(table: ForeignTable, plausible: Callable[[np.ndarray], bool]) -> Log
             raise RigError(f"{table.file}: column {name_problem(name)}; --set 'sensors.columns.NAME={header}' names it")
         if name in dict(channels) or name == "t":
             raise RigError(f"{table.file}: two columns would be {name}; --set 'sensors.columns.NAME={header}' names one of them")
-        channels.append((name, TO_SI.get(unit, lambda v: v)(np.array(cells.numbers(at)))))
+        channels.append((name, TO_SI.get(unit or "", lambda v: v)(np.array(cells.numbers(at)))))
         kept.append((name, header))
         if name != header:
             converted = unit in TO_SI and unit not in ("C", "kg", "m")

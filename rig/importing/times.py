@@ -48,11 +48,9 @@ def read(cells: list[str], name: str, what: str, unit: str | None, zone: str | N
         return _iso(cells, name, what, zone, by, () if unit else (f"{what}: times are ISO 8601",))
     if not numeric:
         bad = next(cell for cell in cells if not re.fullmatch(r"[+-]?\d{1,30}(\.\d{0,30})?([eE][+-]?\d{1,2})?", cell))
-        raise RigError(f"{what}: {shown(bad)} is no time in {NAMES[unit]}")
+        raise RigError(f"{what}: {shown(bad)} is no time in {NAMES[unit or 's']}")
     values = [Decimal(cell) for cell in cells]
-    found, said = unit, ()
-    if unit is None:
-        found, said = _unit(values, name, what, plausible)
+    found, said = _unit(values, name, what, plausible) if unit is None else (unit, ())
     return Times([DIGITS.add(DIGITS.divide(value, TIMES[found]), by) for value in values], found, None, said)
 
 
@@ -70,9 +68,10 @@ def _unit(values: list[Decimal], name: str, what: str, plausible: Callable[[np.n
 
 
 def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, said: tuple[str, ...]) -> Times:
-    found = [ISO.fullmatch(cell) for cell in cells]
-    bad = next((cell for cell, one in zip(cells, found) if one is None), None)
-    if bad is not None:
+    read = [ISO.fullmatch(cell) for cell in cells]
+    found = [one for one in read if one is not None]
+    if len(found) < len(cells):
+        bad = next(cell for cell, one in zip(cells, read) if one is None)
         raise RigError(f"{what}: {shown(bad)} is no time: times are numbers, or ISO 8601 as 2026-01-31T12:00:00.25Z")
     zones = {one[3] is None for one in found}
     if len(zones) > 1:
@@ -86,7 +85,7 @@ def _iso(cells: list[str], name: str, what: str, zone: str | None, by: Decimal, 
 def _seconds(found: re.Match, zone: str | None, what: str) -> Decimal:
     try:
         at = datetime.fromisoformat(found[1].replace("_", "T"))
-        at = at.replace(tzinfo=_zone(found[3] or zone))
+        at = at.replace(tzinfo=_zone(found[3] or zone or "UTC"))
         whole = at - EPOCH
     except (ValueError, OverflowError) as error:
         raise RigError(f"{what}: {shown(found[0])} is no time: {error}") from None

@@ -87,7 +87,7 @@ def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
         return float(np.linalg.norm(np.cross(u[i], u[j])))
 
     key = _nearest(o[5], u[5], o[4], u[4])
-    meets = [np.linalg.norm(np.cross(key - o[i], u[i])) for i in (3, 4, 5)]
+    meets = [float(np.linalg.norm(np.cross(key - o[i], u[i]))) for i in (3, 4, 5)]
     if skewed(1, 2) < EXACT and max(meets) < EXACT and skewed(3, 4) > EXACT:
         return "spherical", key
     if max(skewed(1, 2), skewed(1, 3), *meets[1:]) < EXACT and skewed(1, 4) > EXACT:
@@ -153,6 +153,6 @@ def nearest(T_base_platform: RigidTransform, six: SixR, guess: np.ndarray) -> np
     far = np.where(allowed, np.abs(q - guess[..., None, :]).max(axis=-1), np.inf)
     failed = np.flatnonzero(np.isinf(far.min(axis=-1)))
     if len(failed):
-        lines = [f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}" for i in failed]
+        lines = [f"pose {i}: {found.why(i) if found.reason.ravel()[i] else 'every solution leaves the joint limits'}" for i in failed.tolist()]
         raise Unreachable(f"{len(failed)} of {far[..., 0].size} poses cannot be taken:", failed, lines)
     return np.take_along_axis(q, np.argmin(far, axis=-1)[..., None, None], axis=-2)[..., 0, :]

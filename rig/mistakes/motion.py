@@ -10,6 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import table
 from rig.design import Hexapod
+from rig.errors import RigError
+from rig.kinds import hexapod_of
 from rig.mechanisms import hexapod as kinematics
 from rig.mistakes.mistake import Mistake
 from rig.mistakes.pose_readings import other_poses
@@ -71,8 +73,10 @@ def of(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.n
     """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them, or None."""
     known, times = recording.exposures.times()
     c, t = recording.commands, times[np.searchsorted(known, frames)]
+    if c is None:
+        raise RigError(f"{recording.folder}: there is no commands.csv, so nothing was commanded")
     q = np.stack([np.interp(t, c.t, column) for column in c.values.T], axis=1)
-    return Moves(recording.design.mechanism, frames, np.searchsorted(known, frames), times, q, T, c, vector)
+    return Moves(hexapod_of(recording.design.mechanism), frames, np.searchsorted(known, frames), times, q, T, c, vector)
 
 
 def written(recording: Recording) -> np.ndarray:
@@ -188,9 +192,9 @@ def _joints(moves: Moves) -> Iterator[Candidate]:
             turned[:, axis] *= -1
             yield other(f"{name} have the sign of {what} reversed", f"Turn the sign of {what}", *put(turned))
         for i, k in ((0, 1), (0, 2), (1, 2)):
-            order = [0, 1, 2]
-            order[i], order[k] = k, i
-            yield other(f"{name} have {'xyz'[i]} and {'xyz'[k]} exchanged", "Exchange them", *put(joints[:, order]))
+            columns = [0, 1, 2]
+            columns[i], columns[k] = k, i
+            yield other(f"{name} have {'xyz'[i]} and {'xyz'[k]} exchanged", "Exchange them", *put(joints[:, columns]))
         for angle in (60, 120, 180, 240, 300, 90, 270):
             turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
             yield other(f"{name} are turned by {angle} degrees about z", "Turn them back, or the targets of that body", *put(joints @ turn.T))

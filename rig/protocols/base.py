@@ -38,11 +38,12 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """activity : one of ACTIVITIES; positions : (n,) m as the controller counts; homed : all axes, None where it does not say
+    """activity : one of ACTIVITIES; positions : (n,) m as the controller counts, None while it has not said
+    homed : all axes, None where it does not say
     fault : why it cannot be moved, or ""; said : its own words."""
 
     activity: str
-    positions: np.ndarray
+    positions: np.ndarray | None
     homed: bool | None
     fault: str
     said: str

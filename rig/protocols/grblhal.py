@@ -135,7 +135,8 @@ class GrblHAL:
                 lines = yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None, *ASKED)
             except NoAnswer:
                 break
-            word = _STATUS.search(lines[-1])[1]
+            status = _STATUS.search(lines[-1])
+            word = status[1] if status is not None else word
             if word not in _SLOWING:
                 break
             yield Exchange(b"", lambda lines: False, 0.05)

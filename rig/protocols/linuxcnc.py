@@ -81,6 +81,8 @@ class LinuxCNC:
                 return verdict
         values = self._unit * segment.target
         if self.kinematics == "world":
+            if segment.pose is None:
+                raise ValueError("a controller that is told poses takes segments with theirs")
             values = np.r_[self._unit * segment.pose.translation, segment.pose.rotation.as_euler("xyz", degrees=True)]
         words = " ".join(f"{axis}{value:.6f}" for axis, value in zip(self.axes, values))
         line = f"SET MDI G{20 if self._inch else 21} G90 G93 G53 G1 {words} F{60 / max(segment.duration, 1e-3):.6f}"

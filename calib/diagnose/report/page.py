@@ -16,9 +16,11 @@ DOTS = ("<p class=note>Dots are residuals, circles means of as many dots each wi
 
 
 class View(Protocol):
-    """What one kind of machine draws of its diagnosis. asked : how many hypotheses were held against the recording."""
+    """What one kind of machine draws of its diagnosis."""
 
-    asked: int
+    @property
+    def asked(self) -> int:
+        """How many hypotheses were held against the recording."""
 
     def where(self, places: list[str]) -> Figure:
         """The machine with the places of its findings marked, in their order."""

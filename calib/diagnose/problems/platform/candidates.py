@@ -122,7 +122,7 @@ def candidate_of(spec: EffectCandidate) -> PlatformCandidate:
     usual = tuple(UsualRange(p.name, *p.usual, p.signed, Role(p.role)) for p in parameters if p.size == 1 and p.name in named and p.role in SIZED)
     return PlatformCandidate(name=spec.kind.name, place=spec.place, grid=spec.grid, label=spec.label, extra=spec.extra, tied=spec.tied, usual=usual,
                              searched=any(p.role in SEARCHED and p.name in node for p in parameters), bounds=bounds_of(spec),
-                             vector=any(column.index is not None for column in spec.linear), spec=spec)
+                             vector=any(column.entry is not None for column in spec.linear), spec=spec)
 
 
 def bounds_of(spec: EffectCandidate) -> tuple[np.ndarray, np.ndarray]:
