@@ -140,7 +140,7 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     from calib.report import calibration_page
 
     samples = sampled.samples
-    done, tried = certify_extended(samples, recording.design.mechanism, Asked(arguments.extend, arguments.alone), rng, progress)
+    done, tried = certify_extended(samples, hexapod_of(recording.design.mechanism), Asked(arguments.extend, arguments.alone), rng, progress)
     claim = promised_alone(samples, done, rng) if arguments.alone else promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim)
     if out[1]:
@@ -155,10 +155,11 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
             f"held out {one.held_out.after.position[0] * 1e3:.4f} mm, {one.held_out.after.rotation[0] * 1e3:.4f} mrad RMS")
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     field = done.correction.extension
+    known = getattr(field, "values", None) if field is not None and field.exact else None
     on = "the owner's model alone" if arguments.alone else "the fitted geometry"
     rms, most = single_step_misses(done.correction)
     print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
-          + (f"; exact at its {field.values.shape[0]} samples" if field is not None and field.exact else ""))
+          + (f"; exact at its {len(known)} samples" if known is not None else ""))
     print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms * 1e6:.3f} um RMS, {most * 1e6:.3f} um "
           "at most")
     _print_poses(sampled, done)

@@ -1,5 +1,6 @@
 """A run's view -> what its page shows: figures in mm and mrad, images as JPEG, the rig as lines in three dimensions."""
 
+from collections.abc import Callable
 from functools import partial
 
 import cv2
@@ -39,7 +40,7 @@ class Page:
 
     def show(self, view: View) -> None:
         """Have the page show a view."""
-        images = None
+        images: dict[str, Callable[[], bytes]] | None = None
         if view.seen is not None and view.seen is not self._shown:
             self._shown = view.seen
             self._history = [*self._history[1 - LATEST :], _figures(view.seen)]

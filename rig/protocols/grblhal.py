@@ -62,7 +62,7 @@ class GrblHAL:
 
     def hello(self) -> Dialogue[str]:
         report = _STATUS.search((yield from ask(b"?", lambda lines: _STATUS.search(lines[-1]) is not None))[-1])
-        if report[1].split(":")[0] in _DEAF:
+        if report is not None and report[1].split(":")[0] in _DEAF:
             raise ControllerFault(f"the controller is held and takes nothing ({report[0]}): see why, then rig stop drops what is held")
         build = yield from _told(b"$I\n", patience=STANDS)
         version = next((line[5:-1].rstrip(":") for line in build if line.startswith("[VER:")), "unknown version")
