@@ -92,6 +92,7 @@ def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value)
     assert abs(fitted["value"] - value) < 4 * sigma and sigma < 0.1 * value
     fit = tree["fit"]
     assert fit["heldout_after"] < 1.1 * fit["noise_floor"]
+    assert {plane: f["unit"] for plane, f in tree["fits"].items()} == {"corners": "px", "closures": "m"} and fit in tree["fits"].values()
     if kind != "edge_bias":  # which the corner finder's own bias would take up, at a price that only the prior shows
         assert fit["heldout_before"] > 1.2 * fit["heldout_after"]
 
