@@ -24,7 +24,10 @@ def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: i
 
 
 def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:
-    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]), serpentine."""
+    """(per_axis ** axes, axes) vertices of an even cube grid in configuration space (patent [0031], [0032]), serpentine.
+
+    Raises RigError for less than two points an axis.
+    """
     if per_axis < 2:
         raise RigError(f"a grid has at least 2 points an axis, got {per_axis}")
     return scaled(strokes, np.array(_serpentine(len(strokes), np.linspace(-1, 1, per_axis))), fill)

@@ -42,7 +42,10 @@ class Eyes:
         self._start: float | None = None
 
     def image(self, name: str, t: float, exposure: float) -> np.ndarray:
-        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated brightness)."""
+        """The image of a camera exposed at t (s, the history's clock) for so long (s; USUAL gives the stated brightness).
+
+        Raises RigError for a camera that there is not, and where nobody says where the struts stood.
+        """
         names = [camera.name for camera in self.world.true.cameras]
         if name not in names:
             raise RigError(f"no camera {name!r}; there are {', '.join(names)}")

@@ -186,7 +186,10 @@ def _course(course: tuple[float, ...], t: np.ndarray, size: int) -> np.ndarray:
 
 
 def draw(design: Design, duration: float, rng: np.random.Generator) -> Effect:
-    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator"""
+    """One effect out of the catalogue, of a plausible size. design : Design; duration : s of the recording; rng : numpy Generator.
+
+    Raises RigError for a rig that lacks what it needs.
+    """
     m = hexapod_of(design.mechanism)
     radius, stroke = float(np.linalg.norm(m.base_joints, axis=1).mean()), float(np.ptp(m.strut_range, axis=1).mean())
     strut = f"strut {rng.integers(1, 7)}"

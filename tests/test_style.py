@@ -96,3 +96,17 @@ def test_arrays_are_told_with_shape_or_unit(package):
                 and "(" not in words and not any(f" {unit}" in f" {words}" for unit in UNITS):
             missing.append(f.where)
     assert missing == []
+
+
+def raised(function: Function) -> set[str]:
+    """Names of the exceptions that a function itself raises, not those within it."""
+    inner = {id(node) for child in ast.walk(function.node) if isinstance(child, ast.FunctionDef) and child is not function.node
+             for node in ast.walk(child)}
+    ends = [node.exc for node in ast.walk(function.node) if isinstance(node, ast.Raise) and id(node) not in inner]
+    return {name for end in ends if isinstance(end, ast.Call) and (name := ast.unparse(end.func).split(".")[-1])[:1].isupper()}
+
+
+def test_what_a_public_function_raises_is_told():
+    """Hooks are told by their base; a command's run raises what the command says."""
+    told = [f for f in functions(*PACKAGES) if not f.node.name.startswith("_") and f.node.name != "run" and ast.get_docstring(f.node)]
+    assert [f.where for f in told if raised(f) and "aises" not in ast.get_docstring(f.node)] == []

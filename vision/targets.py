@@ -42,7 +42,10 @@ class MarkerMap:
 
 
 def markers(target: Target) -> tuple[Marker, ...]:
-    """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z."""
+    """The Marker rows of a target, a cube's faces worked out: centred, top to +z on the sides and to +y on +z and -z.
+
+    Raises ValueError for a target that lists neither faces nor markers.
+    """
     if target.listed:
         return target.listed
     edge, side = target.edge, target.marker
@@ -52,7 +55,10 @@ def markers(target: Target) -> tuple[Marker, ...]:
 
 
 def face_pose(face: str, edge: float) -> RigidTransform:
-    """T_cube_marker of a face ("+x" .. "-z") of a cube with that edge (m): x right, y up, z out, seen from outside."""
+    """T_cube_marker of a face ("+x" .. "-z") of a cube with that edge (m): x right, y up, z out, seen from outside.
+
+    Raises ValueError for a face that there is not.
+    """
     if face not in FACES:
         raise ValueError(f"expected a face out of {FACES}, got {face!r}")
     out = np.array(_OUT[face], float)

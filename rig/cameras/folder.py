@@ -29,7 +29,10 @@ class FolderSource:
         self._known = set(self._names())
 
     def grab(self) -> Frame:
-        """The next image that appears after this call and is whole; its time lies between the call and its appearance."""
+        """The next image that appears after this call and is whole; its time lies between the call and its appearance.
+
+        Raises CameraError where none comes or one is of another size.
+        """
         import cv2
 
         for name in self._names():  # dropped while nobody had asked: exposed some other time

@@ -31,7 +31,7 @@ class GenicamSource:
         acquirer.start()
 
     def grab(self) -> Frame:
-        """Trigger an exposure and wait for its image."""
+        """Trigger an exposure and wait for its image. Raises CameraError where none comes."""
         self._read_clock()
         before = self._clock.now()
         self._nodes.TriggerSoftware.execute()

@@ -32,7 +32,7 @@ class VideoSource:
         self._exposure = 0.0
 
     def grab(self) -> Frame:
-        """A frame exposed after this call: what waits in the driver's queue is let go by."""
+        """A frame exposed after this call: what waits in the driver's queue is let go by. Raises CameraError where none comes."""
         asked, last = self._clock.now(), None
         for _ in range(FLUSHED + 3):
             before = self._clock.now()
@@ -71,7 +71,7 @@ class VideoSource:
         return image
 
     def set_exposure(self, seconds: float) -> float:
-        """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms)."""
+        """Turn UVC's automatic exposure off and expose for so long (steps of 0.1 ms). Raises CameraError where the camera does not take it."""
         cv2 = self._cv2
         steps = max(1, round(seconds / UVC_STEP))
         self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL)

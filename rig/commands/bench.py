@@ -40,7 +40,7 @@ def shutter_of(design: Design, clock: Clock) -> Shutter:
 
 
 def bench_of(design: Design, driver: Driver, shutter: Shutter, settling: Settling, clock: Clock) -> Bench:
-    """The Bench of a design, its sensors opened where it states any."""
+    """The Bench of a design, its sensors opened where it states any. Raises RigError for settling by limbs that nobody reads."""
     sensing = Sensing(design.sensors, clock) if design.sensors else None
     channels = set(design.sensors.channels) if design.sensors else set()
     if settling.by == "limbs" and not {f"m{i + 1}" for i in range(6)} <= channels:
@@ -89,7 +89,10 @@ def set_exposures(shutter: Shutter, design: Design, stated: float | None) -> lis
 
 
 def white(image: np.ndarray, camera: Camera, markers: MarkerMap) -> tuple[float, float]:
-    """(level of white, of 255; share that clips) of the markers in an image; of the whole image where none is read."""
+    """(level of white, of 255; share that clips) of the markers in an image; of the whole image where none is read.
+
+    Raises CameraError for an image of another size.
+    """
     eight, full = grey(image)
     if full.shape != (camera.height, camera.width):
         raise CameraError(f"camera {camera.name!r} gives {full.shape[1]} x {full.shape[0]} px, but rig.toml has {camera.width} x {camera.height} px")

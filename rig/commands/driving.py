@@ -27,7 +27,8 @@ def design_of(path: Path, port: str | None) -> Design:
 def driving(design: Design, trace: Path | None, say: Callable[[str], None], clock: Clock | None = None,
             stopping: bool = False) -> Iterator[Driver]:
     """The open Driver of a design, which no other process drives meanwhile. say : takes a line of text
-    stopping : the struts are stopped before anything is asked of the controller"""
+    stopping : the struts are stopped before anything is asked of the controller
+    Raises FileError for a trace that cannot be written, and what opening raises."""
     c = design.driver()
     with ExitStack() as stack:
         stack.enter_context(Occupied(c.usb or c.port))
@@ -44,7 +45,10 @@ def driving(design: Design, trace: Path | None, say: Callable[[str], None], cloc
 
 
 def settled_status(driver: Driver, clock: Clock, patience: float = 60.0, every: float = 0.05) -> Status:
-    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts were left."""
+    """Status once the axes stand: what another process began is let come to its end, and its end is where the struts were left.
+
+    Raises RigError where they still move after so long.
+    """
     status, end = driver.status(), clock.now() + patience
     moved = status.activity == "moving"
     while status.activity == "moving":

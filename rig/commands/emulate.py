@@ -84,7 +84,7 @@ def _cameras(arguments: Namespace, followed: Path) -> Cameras:
 
 
 def built(arguments: Namespace, clock: Clock) -> Emulator:
-    """The Emulator that the arguments ask for."""
+    """The Emulator that the arguments ask for. Raises RigError for a rig without a controller and arguments that cannot be meant."""
     import numpy as np
 
     from rig import design_file

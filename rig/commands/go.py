@@ -81,7 +81,7 @@ def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray
 
 
 def pose_of(text: str) -> RigidTransform:
-    """RigidTransform of six figures joined by commas, m and rad."""
+    """RigidTransform of six figures joined by commas, m and rad. Raises RigError for anything else."""
     import numpy as np
 
     from rig.pose import pose

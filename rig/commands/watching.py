@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stop_on: frozenset[str],
                halt: Callable[[], object]) -> Looking:
-    """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread"""
+    """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread.
+
+    Raises RigError for a calibration of another kind of machine.
+    """
     calibration = store.load(arguments.calibration) if arguments.calibration else None
     if calibration is not None:
         calibration.refuse_physics("watching a run")

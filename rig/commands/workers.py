@@ -14,7 +14,10 @@ from rig.processes import end_waiting
 
 @contextmanager
 def pool(scheduler: str | None, jobs: int) -> Iterator[Any]:
-    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster. At its end what has not begun is dropped."""
+    """What runs calls at the same time: threads that wait for processes here, or a Dask cluster. At its end what has not begun is dropped.
+
+    Raises MissingLibrary without Dask, RigError where no scheduler answers.
+    """
     if scheduler is None:
         workers = ThreadPoolExecutor(jobs)
         try:

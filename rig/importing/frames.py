@@ -134,7 +134,10 @@ def _pattern(stem: str, k: int, part: str) -> str:
 
 
 def exposed(found: list[Picture], images: Images, plausible: Callable[[np.ndarray], bool]) -> Exposed:
-    """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from the first can be so"""
+    """Exposed of Pictures: by number where names have one, else grouped by time. plausible : whether times (n,) s from the first can be so.
+
+    Raises FileError for names that are not built alike.
+    """
     numbered, timed = [p.frame is not None for p in found], [p.stamp is not None for p in found]
     if any(numbered) and not all(numbered) or any(timed) and not all(timed):
         odd = found[(numbered if any(numbered) and not all(numbered) else timed).index(False)]

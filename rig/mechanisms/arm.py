@@ -58,6 +58,7 @@ def jacobian(q: np.ndarray, arm: Arm, axes: str = "platform") -> np.ndarray:
 
     q : (..., n) rad; axes : "platform", the tangent on the right, or "base", the axes in which poses are given
     Source: Whitney 1972; the columns are z x (p - o) over z
+    Raises ValueError for other axes.
     """
     if axes not in ("platform", "base"):
         raise ValueError(f"axes must be 'platform' or 'base', not {axes!r}")

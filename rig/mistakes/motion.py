@@ -70,7 +70,10 @@ class Moves:
 
 
 def of(recording: Recording, frames: np.ndarray, T: RigidTransform, vector: np.ndarray | None = None) -> Moves:
-    """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them, or None."""
+    """Moves of a recording's commands and poses measured in some of its frames; vector : (n, 6) as poses.csv has them, or None.
+
+    Raises RigError without commands, and for what is no hexapod.
+    """
     known, times = recording.exposures.times()
     c, t = recording.commands, times[np.searchsorted(known, frames)]
     if c is None:

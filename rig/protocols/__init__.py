@@ -9,7 +9,7 @@ from rig.protocols.struts import Struts
 
 
 def of(controller: Controller, count: int) -> Protocol:
-    """The protocol of a controller that drives `count` axes."""
+    """The protocol of a controller that drives `count` axes. Raises ValueError for a protocol that there is not."""
     if controller.protocol == "grblhal":
         return GrblHAL(controller.axes or tuple("XYZABC"[:count]))
     if controller.protocol == "gcs":

@@ -48,6 +48,7 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
     progress : called with (done, of) rounds, or None
     The inliers are those within GATE of where the optimum puts them, by the residuals' own scale; a frame whose inliers no
     longer hold it is given up; repeated until both stand. With a moving camera every frame and body has a scatter of its own.
+    Raises NotEnoughData where no frame could be solved.
     """
     count = len(observations.frames)
     solved = np.array([f for f in range(count) if f not in unsolved], int)

@@ -109,7 +109,10 @@ class LinearModel:
         return Projection(K, b, G - K.T @ K)
 
     def marginalise(self, column: Column) -> "LinearModel":
-        """The model with the directions of a Column (k) among the nuisances; its basis orthonormal and explicit."""
+        """The model with the directions of a Column (k) among the nuisances; its basis orthonormal and explicit.
+
+        Raises ValueError for a model whose basis is not explicit.
+        """
         if self.half is not None:
             raise ValueError("only a model whose nuisances' basis is explicit can take in more")
         found = self.project(column)

@@ -67,7 +67,10 @@ JointScore = Score[JointCandidate]
 
 
 def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], list[NotAsked]]:
-    """(candidates, what cannot be asked) of an arm's poses, of the catalogue as far as it is asked for."""
+    """(candidates, what cannot be asked) of an arm's poses, of the catalogue as far as it is asked for.
+
+    Raises RigError for a place where what is asked for cannot sit.
+    """
     out, skipped, sites = [], [], {}
     for kind in ALL:
         if not asked.touches(kind.name) or kind.discrete or kind.stage in ("targets", "view"):
