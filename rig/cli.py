@@ -50,7 +50,10 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0 done, 1 refused with a reason, 2 wrong usage, 130 interrupted."""
+    """Run one command; returns the exit status: 0 done, 1 refused with a reason, 2 wrong usage, 130 interrupted.
+
+    Raises SystemExit where help was asked for or the usage is wrong
+    """
     argv = sys.argv[1:] if argv is None else list(argv)
     parser = _Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts.",
                      epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "

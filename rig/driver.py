@@ -106,10 +106,7 @@ class Driver:
         return self._lengths(self._state())
 
     def trust(self) -> None:
-        """The operator says that the lengths read back are true: after a start without homing, or after PositionLost.
-
-        Raises Unreachable for lengths beyond the ranges.
-        """
+        """The operator says that the lengths read back are true, after a start without homing or PositionLost. Raises Unreachable beyond ranges."""
         self._asked(self._protocol.hello)
         try:
             self._left = path_check.check_lengths(self.lengths(), self.mechanism)

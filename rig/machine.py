@@ -102,7 +102,7 @@ def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransfo
 
 
 def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:
-    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6)."""
+    """(n, axes) m by which struts seem longer where the platform at T (n,) is displaced by tangents (n, 6). Raises RigError without struts."""
     m = design.mechanism
     if isinstance(m, Hexapod):
         return np.einsum("nij,nj->ni", hexapod.jacobian(T, m), sway)

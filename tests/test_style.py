@@ -109,4 +109,4 @@ def raised(function: Function) -> set[str]:
 def test_what_a_public_function_raises_is_told():
     """Hooks are told by their base; a command's run raises what the command says."""
     told = [f for f in functions(*PACKAGES) if not f.node.name.startswith("_") and f.node.name != "run" and ast.get_docstring(f.node)]
-    assert [f.where for f in told if raised(f) and "aises" not in ast.get_docstring(f.node)] == []
+    assert [f.where for f in told if raised(f) and "aise" not in ast.get_docstring(f.node)] == []

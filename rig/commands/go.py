@@ -60,7 +60,7 @@ def run(arguments: Namespace) -> None:
             driver.trust()
         if calibration.physics is not None and not arguments.uncorrected:  # from where it stands, not from home
             lengths = _lengths(calibration, wanted, driver.status().lengths)
-            reachable(np.array([lengths]), design.mechanism, ["the pose"])
+            reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)
