@@ -7,12 +7,16 @@ setup: .venv/.ready
 
 .venv/.ready: pyproject.toml .ci/setup
 	PYTHON=$(PYTHON) sh .ci/setup
+	touch $@ .venv/.runs
+
+.venv/.runs: pyproject.toml .ci/setup
+	PYTHON=$(PYTHON) sh .ci/setup rig
 	touch $@
 
-demo: setup
+demo: .venv/.runs
 	sh .ci/demo
 
-demo-files: setup
+demo-files: .venv/.runs
 	sh .ci/demo-files
 
 test: setup
