@@ -15,7 +15,7 @@ from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field
 from calib.correct.interpolate.grid import lattice
 from calib.correct.interpolate.weighted import Weighted
-from calib.identify.geometry import Identified, pose_jacobian
+from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
@@ -81,8 +81,17 @@ def certify_extended(samples: Samples, nominal: Hexapod, asked: Asked, rng: np.r
         field = _scaled(field, outcome, held[kind], nominal)
         done = replace(done, correction=corrected(nominal, found, field))
     if field is not None:
-        done = replace(done, found=replace(found, residuals=found.residuals - field.value(samples.commanded)))
+        done = replace(done, found=_without(samples, nominal, found, field, asked.alone))
     return done, tuple(tried)
+
+
+def _without(samples: Samples, nominal: Hexapod, found: Identified, field: Field, alone: bool) -> Identified:
+    """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no parameter."""
+    taken = field.value(samples.commanded)
+    if not alone:
+        again = identify(samples, nominal, taken, found.prior)
+        found = replace(found, covariance=again.covariance, root=again.root, scatter=again.scatter)
+    return replace(found, residuals=found.residuals - taken)
 
 
 class _Outcome(NamedTuple):

@@ -85,7 +85,13 @@ class Correction(Generic[M, R]):
 
         Raises NotConverged with index, commands and residual (m) where the fixed point is not found
         """
-        goal = mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        return self.settled(mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted))
+
+    def settled(self, goal: np.ndarray) -> np.ndarray:
+        """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted model wants them.
+
+        Raises NotConverged as `inverse`
+        """
         if isinstance(self.extension, Simplex) and not any(self.remainder):
             commands, change = self.extension.fixed_points(goal.reshape(-1, goal.shape[-1]), TOLERANCE)
             return self._found(commands, change).reshape(goal.shape)

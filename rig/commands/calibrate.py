@@ -51,6 +51,8 @@ def run(arguments: Namespace) -> None:
     recording, look = checking.begin(arguments)
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
+    hexapod = recording.design.mechanism.kind == "hexapod"
+    values = None if page is None or not hexapod else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
 
     import numpy as np
 
@@ -73,6 +75,11 @@ def run(arguments: Namespace) -> None:
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
         _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
+    if values is not None:
+        from calib.correct.values import summand_columns, summand_rows
+        from rig.writing import write_table
+
+        write_table(values, summand_columns(len(recording.design.mechanism.axes)), summand_rows(sampled.samples, recording.design.mechanism))
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
@@ -99,6 +106,11 @@ def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, pr
     from calib.diagnose.taken import of_diagnosis, take
 
     return take(recording, sampled, of_diagnosis(diagnose(recording, progress=progress, sampled=sampled)) if findings is None else findings, progress)
+
+
+def _values_name(out: Path) -> str:
+    """ksf.csv beside a calibration.json, NAME.ksf.csv beside another NAME.json."""
+    return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
 
 
 def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,

@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import readings
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError, Unreachable
 
@@ -21,8 +22,11 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
-    parser.add_argument("--poses", metavar="FILE", type=Path, required=True,
-                        help="frame,x,y,z,rx,ry,rz of the wanted poses; with a column t (s), when each is to be held, the commands run in time")
+    asked = parser.add_mutually_exclusive_group(required=True)
+    asked.add_argument("--poses", metavar="FILE", type=Path,
+                       help="frame,x,y,z,rx,ry,rz of the wanted poses; with a column t (s), when each is to be held, the commands run in time")
+    asked.add_argument("--forward", metavar="FILE", type=Path, help="the other way, for a machine that measures: frame,l1..l6 (an arm: q1..qn) "
+                       "read off its limbs -> the poses that they stand for, corrected, with covariance")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
                         help="frame,l1..l6 (an arm: q1..qn) to command; in time frame,t,.. with no frame in rows on the way")
     parser.add_argument("--sensors", metavar="FILE", type=Path, help="sensors.csv over the same time: temperatures, payload, as far as logged")
@@ -37,7 +41,10 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> None:
-    """Write the commands that give the wanted poses."""
+    """Write the commands that give the wanted poses, or the poses that readings stand for."""
+    if arguments.forward:
+        readings.forward(arguments)
+        return
     import numpy as np
 
     from calib import store

@@ -1,4 +1,4 @@
-"""rig export calibration.json --format genhexkins|urdf|json|csv --out FILE."""
+"""rig export calibration.json --format genhexkins|urdf|json|csv|linuxcnc-comp|grid --out FILE."""
 
 from __future__ import annotations
 
@@ -14,24 +14,31 @@ from rig.kinds import Mechanism, arm_of, hexapod_of
 if TYPE_CHECKING:
     from rig.design import Arm, Free, Hexapod, Planar2
 
+TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
-    parser.add_argument("--format", choices=tuple(FORMATS), required=True, help="genhexkins: HAL settings of LinuxCNC; urdf: of an arm")
+    parser.add_argument("--format", choices=(*FORMATS, *TABLES), required=True, help="genhexkins: HAL settings of LinuxCNC; "
+                        "urdf: of an arm; linuxcnc-comp: what goes on top of genhexkins, a file for each joint in the folder OUT; "
+                        "grid: a CSV of what is to be added to the owner's model")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
                         help="of genhexkins: share of the cardans' twist that turns the screws")
     parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
+    parser.add_argument("--parts", type=int, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)")
     add_force(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
+    if arguments.format in TABLES:
+        _tables(arguments)
+        return
     from rig.export import genhexkins, geometry, urdf
     from rig.files import write_text
 
@@ -59,6 +66,39 @@ def run(arguments: Namespace) -> None:
         return
     write_text(out, text)
     print(f"written: {arguments.out}")
+
+
+def _tables(arguments: Namespace) -> None:
+    """Write corrections as tables, and say what they leave out."""
+    import numpy as np
+
+    from calib import store
+    from calib.correct.values import grid_table, joint_tables
+    from rig import mechanisms
+    from rig.export import compensation
+    from rig.files import write_text
+
+    if arguments.machine.suffix == ".toml" or arguments.out is None:
+        raise RigError(f"{arguments.format} takes a calibration.json and --out")
+    correction = store.load(arguments.machine).correction
+    mechanism = correction.nominal
+    if mechanism.kind == "arm":
+        raise RigError(f"{arguments.format} takes a hexapod's calibration; an arm's is corrected by `rig correct`")
+    parts = arguments.parts if arguments.parts is not None else 3 if arguments.format == "grid" else 64
+    most = 9 if arguments.format == "grid" else compensation.MOST - 1
+    if not 1 <= parts <= most:
+        raise RigError(f"--parts is 1 to {most} for {arguments.format}, not {parts}")
+    if arguments.format == "grid":
+        out = arguments.outputs.file(arguments.out)
+        write_text(out, compensation.grid(*grid_table(correction, parts), mechanism.axes, mechanisms.of(mechanism).UNIT))
+        print(f"{(parts + 1) ** len(mechanism.axes)} rows; command = x + k, x as the owner's model has it; written: {arguments.out}")
+        return
+    folder = arguments.outputs.folder(arguments.out)
+    found = joint_tables(correction, parts + 1)
+    for i, (levels, trims) in enumerate(zip(found.levels, found.trims)):
+        write_text(folder / f"joint_{i}.comp", compensation.linuxcnc(levels + correction.fitted.strut_zeros[i], trims, arguments.units))
+    print(f"COMP_FILE_TYPE = 0, units {arguments.units}, on top of genhexkins with the calibration's geometry; a table for each joint alone leaves "
+          f"{np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction; written: {arguments.out}")
 
 
 def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], float | None]:

@@ -92,3 +92,25 @@ def test_the_single_step_misses_what_the_fixed_point_meets(gridded, design):
     np.testing.assert_allclose(exact, x + correction.summand(exact), atol=1e-11)
     assert 1e-7 < np.abs(step - exact).max() < 1e-4 and single_step_misses(correction)[1] > 1e-7
     np.testing.assert_allclose(correction.corrected_forward(x).as_matrix(), hexapod.forward(step, design.mechanism).as_matrix(), atol=1e-9)
+
+
+def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path):
+    """The other way round, through the command: what a measuring machine reads, corrected, with a covariance that its errors keep to."""
+    from rig import recording
+    from rig.cli import main
+
+    samples, true = gridded
+    done, _ = certify_extended(samples, design.mechanism, Asked("simplex", False), np.random.default_rng(0))
+    store.save(tmp_path / "c.json", Calibration(done.correction, done.found.covariance, done.found.scatter, (1,), (), None, {"seed": 0}, None))
+    read = low_discrepancy(design.mechanism.strut_range, 40, 0.55, 6)
+    lines = [f"{k}," + ",".join(f"{v:.9f}" for v in row) for k, row in enumerate(read)]
+    (tmp_path / "r.csv").write_text("\n".join(["frame,l1,l2,l3,l4,l5,l6", *lines]) + "\n")
+    assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "p.csv")]) in (0, None)
+    got = recording.load_poses(tmp_path / "p.csv")
+    T = real(read, true, coupled)
+    error, before = difference(got.T_base_platform, T), difference(hexapod.forward(read, design.mechanism), T)
+    assert rms(error)[0] < 0.05 * rms(before)[0]
+    ratio = (error[:, :3] ** 2).sum() / np.trace(got.covariance[:, :3, :3], axis1=1, axis2=2).sum()
+    assert 0.05 < ratio < 4
+    (tmp_path / "r.csv").write_text("frame,l1,l2,l3,l4,l5,l6\n0,1,1,1,1,1,1\n")
+    assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "q.csv")]) == 1
