@@ -51,8 +51,8 @@ def run(arguments: Namespace) -> None:
     recording, look = checking.begin(arguments)
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
-    hexapod = recording.design.mechanism.kind == "hexapod"
-    values = None if page is None or not hexapod else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
+    nominal = recording.design.mechanism
+    values = None if page is None or nominal.kind != "hexapod" else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
 
     import numpy as np
 
@@ -75,11 +75,11 @@ def run(arguments: Namespace) -> None:
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
         _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
-    if values is not None:
+    if values is not None and nominal.kind == "hexapod":
         from calib.correct.values import summand_columns, summand_rows
         from rig.writing import write_table
 
-        write_table(values, summand_columns(len(recording.design.mechanism.axes)), summand_rows(sampled.samples, recording.design.mechanism))
+        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, nominal))
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
