@@ -27,7 +27,7 @@ class Outputs:
     def __enter__(self) -> "Outputs":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: Any) -> None:
         try:
             if kind is None:
                 self.finish()
@@ -35,11 +35,19 @@ class Outputs:
                 if kind is None:
                     write_text(folder / MANIFEST, Made(self._origin(True), load(folder).files).text())
         finally:
+            if isinstance(error, FileError):
+                error.args = (self._as_named(str(error)),)
             for staged in self._staged.values():
                 staged.discard()
             for folder, lock in self._growing:
                 (folder / GROWING).rmdir()
                 os.close(lock)
+
+    def _as_named(self, text: str) -> str:
+        """A message with the places where files would have been, not where they waited."""
+        for staged in self._staged.values():
+            text = text.replace(f"{staged.folder}/", f"{staged.place}/")
+        return text
 
     def finish(self) -> None:
         """Put everything staged so far in its place now, not at the command's end; what is written after that needs a place anew."""

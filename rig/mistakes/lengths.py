@@ -10,6 +10,7 @@ from rig.mistakes.mistake import Mistake
 from rig.recording import Commands
 
 UNITS = {"millimetres": 1e3, "centimetres": 1e2, "micrometres": 1e6, "inches": 1 / 0.0254}  # per metre
+FEW = 1 / 3  # of the axes, beyond whose ranges alone no unit and no origin of all commands leads
 MUCH = 0.1  # share of commands beyond the range by more than a tenth of it, that is no slip of a limit
 
 
@@ -23,19 +24,29 @@ def commands(commands: Commands, design: Design) -> Iterator[Mistake]:
         yield from _lengths(commands.values, m.strut_range, home)
 
 
-def _beyond(values: np.ndarray, ranges: np.ndarray) -> float:
-    """Share of the values (n, axes) that lie outside their ranges (axes, 2) by more than a tenth of these."""
+def _outside(values: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """(n, axes) whether values lie outside their ranges (axes, 2) by more than a tenth of these."""
     low, high = ranges.T
     slack = 0.1 * (high - low)
-    return float(((values < low - slack) | (values > high + slack)).mean())
+    return (values < low - slack) | (values > high + slack)
+
+
+def _beyond(values: np.ndarray, ranges: np.ndarray) -> float:
+    """Share of the values (n, axes) that lie so."""
+    return float(_outside(values, ranges).mean())
 
 
 def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mistake]:
-    outside = _beyond(q, ranges)
+    outside, axes = _beyond(q, ranges), _outside(q, ranges).any(axis=0)
     if outside == 0:
         return
     advice = "commands.csv holds joint centre to joint centre, in metres"
     said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's strut_range is {ranges.min():.6g} to {ranges.max():.6g} m"
+    if axes.mean() <= FEW:
+        which = ", ".join(str(k + 1) for k in np.flatnonzero(axes))
+        yield Mistake(f"commands.csv: lengths of strut {which} alone lie outside strut_range ({outside:.1%} of all): {said}",
+                      "Look at its zero, at its strut_range or at those rows", bool(outside > MUCH), 0.3)
+        return
     for unit, per_metre in UNITS.items():
         if _beyond(q / per_metre, ranges) <= outside / 4:
             yield Mistake(f"commands.csv: lengths are in {unit}: {said}", f"Divide them by {per_metre:.6g}; {advice}", True, 0.95)

@@ -13,7 +13,8 @@ from rig import cli, recording
 from rig.effects.edge_bias import EdgeBias
 from rig.effects.print_scale import PrintScale
 from rig.effects.time_offset import TimeOffset
-from rig.mistakes import Mistake, in_order
+from rig.mistakes import Mistake, in_order, lengths
+from rig.recording import Commands
 from tests.mistakes.good import make, recorded
 from tests.mistakes.matrix import CASES, Case
 
@@ -96,6 +97,15 @@ def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, 
     next(case for case in CASES if case.name == "another dictionary for one cube").spoil(folder)
     status, text = said(command, folder, "--out", tmp_path / "out")
     assert status == 1 and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0] and not (tmp_path / "out").exists()
+
+
+def test_one_struts_zero_is_no_unit_of_all(design):
+    """Taken for inches from home, the other five alone would be so as well."""
+    middle, span = design.mechanism.strut_range.mean(axis=1), np.ptp(design.mechanism.strut_range, axis=1)
+    q = middle + 0.4 * span * np.random.default_rng(0).uniform(-1, 1, (40, 6)) - 0.6 * span * (np.arange(6) == 3)
+    said = [one.what for one in lengths.commands(Commands(np.arange(40.0), q), design)]
+    assert len(said) == 1 and "lengths of strut 4 alone lie outside strut_range" in said[0]
+    assert "in millimetres" in next(lengths.commands(Commands(np.arange(40.0), middle * 1e3 + 0 * q), design)).what
 
 
 def test_an_unlikely_thing_is_a_remark(good, tmp_path):

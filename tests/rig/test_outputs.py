@@ -131,6 +131,12 @@ def test_who_fails_leaves_everything_as_it_was(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old"]
 
 
+def test_an_error_names_the_place_where_a_file_would_have_been(tmp_path):
+    with pytest.raises(FileError) as error, Outputs("plan") as outputs:
+        raise FileError(outputs.file(tmp_path / "p.csv"), "cannot be written: No space left on device")
+    assert str(error.value) == f"{tmp_path}/p.csv: cannot be written: No space left on device"
+
+
 def test_of_two_places_that_one_cannot_be_written_is_one_error(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
