@@ -10,6 +10,7 @@ BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it
 def forward(arguments: Namespace) -> None:
     """Readings -> poses with covariance: the summands with the opposite sign.
 
+    Raises RigError for options that are about commands, and for what cannot be read
     Source: configuration-space patent, [0062], [0068] to [0072], [0131]
     """
     import numpy as np
