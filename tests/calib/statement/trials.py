@@ -12,6 +12,7 @@ from calib.certify.conformity import CONFORMS, FAILS, GUARD, judged
 from calib.certify.held_out import errors_of
 from calib.certify.held_poses import held_poses
 from calib.certify.promise import promised
+from calib.certify.tolerance_limits import smallest
 from calib.correct.correction import calibrate
 from calib.samples import Samples
 from rig import machine, mechanisms, plan
@@ -27,6 +28,7 @@ POSES = 2000  # noise-free ones, from which the true 95th percentile is taken
 FITTED = 120
 SIZES = (59, 80, 120, 200)  # held out
 OWN, COMMON = np.repeat([3.2e-6, 2.4e-5], 3), np.repeat([2.4e-6, 4.2e-6], 3)  # m and rad an axis, as three cameras have it
+DECIDE = smallest(0.95, GUARD)
 SPREAD = 0.7  # of the tolerance about what is true, as a logarithm
 
 
@@ -81,7 +83,7 @@ def trial(design, seed):
     tolerance = tuple(value * np.exp(rng.uniform(-SPREAD, SPREAD)) for value in real)
     bounds = (made.position, made.rotation)
     verdict = ("", "")
-    if n >= 72:
+    if n >= DECIDE:
         guarded = promised(poses, 0.95, GUARD, 0.0, rng)
         verdict = tuple(judged("", t, bound).verdict for t, bound in zip(tolerance, (guarded.position, guarded.rotation)))
     return Trial(names, n, real, tuple(b.upper for b in bounds), tuple(b.measured for b in bounds), tolerance, verdict)
@@ -100,4 +102,11 @@ def _samples(route, goals, true, at, rng):
     return Samples(at, route.t[at], goals[at], true[at] * exp(noise), own, common)
 
 
+def share_kept(trials):
+    """Share of Trials whose promise, of position and rotation both, is kept."""
+    return float(np.mean([all(t.kept) for t in trials]))
 
+
+def wrong_decisions(trials):
+    """How many decisions of Trials are not so."""
+    return int(sum(map(sum, (t.wrong for t in trials))))
