@@ -4,13 +4,16 @@ What is not known is given as not known, with the reason, never as nothing. docs
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.certify.calibration import Calibration
 from calib.certify.held_poses import HeldPoses
 from calib.certify.repeats import Repeatability
 from calib.samples import Samples
+from rig.pose import difference
+from rig.recording import Recording, Sensors
 from vision.measure import Measurement
 
 K = 2.0
@@ -63,13 +66,13 @@ def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[tup
 
 
 def budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured: Sequence[tuple[Samples, Measurement | None]],
-           scale: float | None, physics: str | None) -> Budget:
+           scale: float | None, warmth: tuple[float, float] | None) -> Budget:
     """Budget of held-out poses.
 
     model : (n, 6, 6) covariance that the calibration's parameters give each pose; repeat : Repeatability
     measured : (Samples, Measurement or None) of each recording
     scale : relative standard uncertainty of the targets' scale, None where nobody states one
-    physics : what the calibration corrects beyond geometry, in words, or None
+    warmth : (m, rad) RMS as `thermometer` has it
     """
     noise, shared = rms(poses.own), rms(sum(c @ np.swapaxes(c, 1, 2) for c in poses.common))
     cameras, lenses = by_part(measured)
@@ -84,7 +87,8 @@ def budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured:
             _row("lens", "measuring", lenses, "A", "lenses, from the images" if lenses else "within camera: poses came without their images"),
             _row("datum", "measuring", None if scale is None else (scale * away, 0.0), "B",
                  "nobody states how good the targets' scale is" if scale is None else "scale of the targets, as stated, at the poses' distance"),
-            _row("thermometer", "machine", None, "B", physics or "nothing is corrected by temperature, so no thermometer adds to a pose"),
+            _row("thermometer", "machine", warmth, "A", "noise of the logged temperatures, through what is corrected by them" if warmth else
+                 "nothing is corrected by a logged temperature, so no thermometer adds to a pose"),
             _row("geometry", "machine", geometry, "A", "covariance of the fitted parameters, at the held-out poses"),
             _row("physics", "machine", (rest[0], rest[1]), "A", "what held-out errors show beyond all else: effects that the calibration leaves"),
             _row("repeatability", "machine", None if again[0] is None else (again[0], again[1] or 0.0), "A",
@@ -92,6 +96,30 @@ def budget(poses: HeldPoses, model: np.ndarray, repeat: Repeatability, measured:
     if not poses.rotations:
         rows = [Contribution(r.name, r.of, r.position, None, r.kind, r.source) for r in rows]
     return Budget(tuple(rows), _sum(rows, "machine", poses.rotations, ("datum",)), _sum(rows, "measuring", poses.rotations))
+
+
+def thermometer(calibration: Calibration, held: Sequence[tuple[Recording, Samples]]) -> tuple[float, float] | None:
+    """(m, rad) RMS that the noise of logged temperatures adds to a pose through the physics that is undone; None where none follows one.
+
+    The noise is what a log shows against the straight line through a row's neighbours.
+    """
+    physics, squares = calibration.physics, []
+    for recording, samples in held:
+        sensors = recording.sensors
+        if physics is None or sensors is None or len(sensors.t) < 3:
+            continue
+        names = [name for name in physics.channels if name.endswith("temperature_C") and name in sensors.channels]
+        plain = calibration.told(recording, samples)
+        for name in names:
+            log = sensors.channels[name]
+            off = float(np.sqrt(np.mean((log[1:-1] - (log[:-2] + log[2:]) / 2) ** 2) / 1.5))
+            warmer = replace(recording, sensors=Sensors(sensors.t, {**sensors.channels, name: log + off}))
+            moved = difference(*(calibration.correction.predict(one.effective) for one in (plain, calibration.told(warmer, samples))))
+            squares.append([(moved[:, p] ** 2).sum(axis=1).mean() / len(held) for p in PARTS])
+    if not squares or not np.any(squares):
+        return None
+    position, rotation = np.sqrt(np.sum(squares, axis=0)).tolist()
+    return position, rotation
 
 
 def _row(name: str, of: str, value: tuple[float, float] | None, kind: str, source: str) -> Contribution:

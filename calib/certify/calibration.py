@@ -1,6 +1,6 @@
 """A calibration as it is kept: what corrects, how well its parameters are known, what it is worth, and where it came from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,9 @@ from calib.certify.claim import Claim
 from calib.certify.held_out import HeldOut
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
+from calib.samples import Samples
 from rig.errors import RigError
+from rig.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +32,13 @@ class Calibration:
     provenance: dict[str, Any]
     claim: Claim | None = None
     physics: Physics | None = None
+
+    def told(self, recording: Recording, samples: Samples) -> Samples:
+        """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""
+        if self.physics is None or recording.commands is None:
+            return samples
+        known = self.physics.known(self.correction.fitted, recording.commands, samples.t, samples.T_base_platform, recording.sensors)
+        return replace(samples, known=known)
 
     def refuse_physics(self, what: str) -> None:
         """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.arms import certify as arms
 from calib.certify import conformity, tolerance_limits
-from calib.certify.budget import Budget, budget
+from calib.certify.budget import Budget, budget, thermometer
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import model_covariance
 from calib.certify.conformity import Conformity
@@ -74,7 +74,8 @@ def certified(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]
     return Certificate(calibration.correction.nominal.kind, asked, promise, cells(poses, asked.coverage, asked.confidence, asked.scale or 0.0, rng),
                        volume(poses, calibration.correction.nominal), again, iso9283(poses), iso230(calibration.correction, poses),
                        _judged(poses, asked, rng), budget(poses, _model(calibration, poses), again,
-                                                          [(s.samples, s.measurement) for _, s in held], asked.scale, None),
+                                                          [(s.samples, s.measurement) for _, s in held], asked.scale,
+                              thermometer(calibration, [(recording, s.samples) for recording, s in held])),
                        conditions(poses, [recording for recording, _ in held], [s.source for _, s in held]),
                        poses.errors[at], figures(poses.plain[at]), figures(poses.errors[at]), provenance)
 
@@ -84,8 +85,9 @@ def together(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]
     parts = []
     for recording, sampled in held:
         assert recording.commands is not None  # sample_recording refuses a recording without
-        plain, errors = errors_of(calibration.correction, sampled.samples)
-        parts.append((sampled.samples, recording.commands, plain, errors))
+        samples = calibration.told(recording, sampled.samples)
+        plain, errors = errors_of(calibration.correction, samples)
+        parts.append((samples, recording.commands, plain, errors))
     return held_poses(calibration.correction, parts)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser, Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +48,7 @@ def run(arguments: Namespace) -> None:
     from calib.pipeline import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
-    samples = _with_physics(calibration, recording, sampled.samples)
+    samples = calibration.told(recording, sampled.samples)
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
     held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED), label)
     progress.close()
@@ -71,14 +70,6 @@ def run(arguments: Namespace) -> None:
         print(f"stated standard uncertainty of that, calibration and measurement together: {stated[0] * 1e3:.4f} mm and {stated[1] * 1e3:.4f} mrad: "
               f"the error is {figures.position[0] / stated[0]:.2f} and {figures.rotation[0] / stated[1]:.2f} times it")
     print_unsolved(sampled.measurement)
-
-
-def _with_physics(calibration: Calibration, recording: Recording, samples: Samples) -> Samples:
-    """The samples with what a calibration's physics says of their commands, under the recording's own sensors and history."""
-    physics, commands = calibration.physics, recording.commands
-    if physics is None or commands is None:
-        return samples
-    return replace(samples, known=physics.known(calibration.correction.fitted, commands, samples.t, samples.T_base_platform, recording.sensors))
 
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> tuple[Figures, tuple[float, float]]:

@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -12,13 +13,21 @@ import numpy as np
 import pytest
 
 from calib import store
+from calib.certify.budget import thermometer
 from calib.certify.conformity import OPEN
+from calib.certify.promise import promised
+from calib.correct.correction import calibrate
+from calib.correct.physics import Physics
+from calib.pipeline import sample_recording
 from calib.statement import tree
+from calib.statement.certificate import together
 from rig import machine, plan, recording, writing
 from rig.cli import main
+from rig.effects.coordinate import coordinates_of
 from rig.effects.parse import parse
 from rig.observed import Poses
 from rig.pose import difference, exp
+from rig.recording import Sensors
 from synthetic import world
 
 GAP = 40e-6
@@ -104,6 +113,30 @@ def test_reversal_is_the_backlash_that_is_there(held):
     assert axes["strut 3"]["B"] == pytest.approx(GAP, abs=4 * u) and axes["strut 3"]["cycles"] == 3
     assert all(axes[name]["B"] < 4 * u for name in axes if name != "strut 3") and len(axes) == 6 and 4 * u < 0.9 * GAP
     assert not any(axis["formal"] for axis in axes.values())
+
+
+def test_physics_that_is_undone_is_part_of_what_is_certified(held):
+    """A calibration that knows the backlash promises as much better as the machine then is; temperatures add through what they correct."""
+    known = store.load(held.folder / "cal.json")
+    other = recording.load(held.folder / "other")
+    warm = replace(other, sensors=Sensors(np.arange(0.0, 4000, 30), {"ambient_temperature_C": 20 + np.random.default_rng(0).normal(0, 0.1, 134)}))
+    samples = sample_recording(other)
+    plain = promised(together(known, [(other, samples)]), 0.95, 0.95, 0.0, np.random.default_rng(0)).position
+    design, effects = held.secret.true, tuple(map(parse, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6")))
+    count = len(coordinates_of(effects))
+    physics = Physics(effects, np.zeros((count, count)), np.zeros((42, count)), design.gravity, design.actuator, design.platform,
+                      {"ambient_temperature_C": (20.0, 0.1)})
+    wiser, fit = replace(known, physics=physics), recording.load(held.folder / "fit")
+    refined, _ = calibrate(wiser.told(fit, sample_recording(fit).samples), known.correction.nominal, "none")
+    wiser = replace(wiser, correction=refined)
+    better = promised(together(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, np.random.default_rng(0)).position
+    assert better.upper < 0.75 * plain.upper
+    assert thermometer(known, [(warm, samples.samples)]) is None
+    added = thermometer(wiser, [(warm, samples.samples)])
+    at, both = samples.samples.t, [Sensors(np.array([0.0, 4000]), {"ambient_temperature_C": np.full(2, degrees)}) for degrees in (20.0, 20.1)]
+    poses = [machine.run(design, other.commands, at, effects, sensors).T_base_platform for sensors in both]
+    moved = np.linalg.norm(difference(*poses)[:, :3], axis=1)
+    assert added[0] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.25), "the log's noise is 0.1 K"
 
 
 def test_what_was_fitted_is_no_evidence(held, tmp_path):
