@@ -123,10 +123,10 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
     if agreeing < 2 or 2 * agreeing < len(sightings):
         return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
     located = Located(RigidTransform.from_matrix(matrix), covariance, inliers)
-    rival = _rival(view, matrices, distance, matrix, square, scale, finest)
-    if rival is not None:
-        turn = np.degrees(_turn(rival.T_world_body.as_matrix(), matrix))
-        return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, rival))
+    alternative = _alternative(view, matrices, distance, matrix, square, scale, finest)
+    if alternative is not None:
+        turn = np.degrees(_turn(alternative.T_world_body.as_matrix(), matrix))
+        return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, alternative))
     return located
 
 
@@ -245,7 +245,7 @@ def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np
     return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
 
 
-def _rival(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
+def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
            finest: float) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
@@ -258,11 +258,11 @@ def _rival(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.nd
         if any(_apart(matrices[at], other) is None for other in tried):
             continue
         tried.append(matrices[at])
-        rival = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
-        if rival is None or not rival.square - square < worse or rival.inliers.sum() < 0.9 * len(rival.inliers) - 1:
+        alternative = _refine(view, matrices[at], distance[at] < CONSENSUS, finest)
+        if alternative is None or not alternative.square - square < worse or alternative.inliers.sum() < 0.9 * len(alternative.inliers) - 1:
             continue
-        if _apart(rival.matrix, matrix) is not None:
-            return Located(RigidTransform.from_matrix(rival.matrix), rival.covariance, rival.inliers)
+        if _apart(alternative.matrix, matrix) is not None:
+            return Located(RigidTransform.from_matrix(alternative.matrix), alternative.covariance, alternative.inliers)
     return None
 
 
