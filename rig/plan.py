@@ -14,7 +14,7 @@ from rig import mechanisms, table
 from rig.configurations import FILL, along_and_about, division, grid, low_discrepancy, parts, scaled, simplices
 from rig.design import Design
 from rig.errors import FileError, RigError
-from rig.origin import Origin
+from rig.origin import Origin, decimal
 from rig.outside import shown
 from rig.recording import Commands, Sensors
 
@@ -26,6 +26,7 @@ STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
 MOST = 20_000  # exposures of a plan
+ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
 BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
@@ -88,10 +89,15 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
 
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N,
     moving:N, zigzag:N, warmup:N, repeat:N
-    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it). Raises RigError for a part that is not known.
+    and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
+    Raises RigError for a part that is not known.
     """
     if not design.mechanism.axes:
         raise RigError(f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command")
+    if text.startswith("commands:") and "," not in text:
+        found = _in_time(design, text.removeprefix("commands:"))
+        if found is not None:
+            return found
     strokes = strokes_of(design)
     writer = _Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
     rng = np.random.default_rng(seed)
@@ -205,14 +211,37 @@ def _repeat(writer: _Writer, design: Design, count: int, rng: np.random.Generato
 
 def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
+    if "t" in rows.columns:
+        raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
+    for goal in _within(rows, design):
+        writer.settle(goal)
+
+
+def _in_time(design: Design, file: str) -> Plan | None:
+    """Plan of a table frame,t,l1..l6 as it stands, exposed at the rows that have a frame; None for a table without times."""
+    rows = table.read(Path(file), ("frame", *design.mechanism.axes))
+    if "t" not in rows.columns:
+        return None
+    rows.times("t", Origin())  # which checks them
+    origin = Origin(decimal(rows.text("t")[0]))
+    t, exposed = rows.times("t", origin), np.array([bool(cell) for cell in rows.text("frame")])
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back):
+        rows.fail("time must increase from row to row", back[0] + 1, "t")
+    if not exposed.any():
+        raise FileError(file, "has no row with a frame, so that nothing is exposed")
+    return Plan(Commands(t, _within(rows, design)), t[exposed], np.array([(0.0, 0.0)]), origin)
+
+
+def _within(rows: table.Table, design: Design) -> np.ndarray:
+    """(n, axes) m or rad that a table commands, all within the axes' range."""
     values = rows.matrix(design.mechanism.axes)
-    if len(rows) > MOST:
-        raise FileError(file, f"has {len(rows)} rows; a plan exposes at most {MOST} times")
+    if len(rows) > MOST * ROWS:
+        raise FileError(rows.path, f"has {len(rows)} rows; a plan exposes at most {MOST} times")
     beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
     for i in np.flatnonzero(beyond.any(axis=1)):
         rows.fail(f"{mechanisms.places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)
-    for goal in values:
-        writer.settle(goal)
+    return values
 
 
 def _division(writer: _Writer, design: Design, text: str, rng: np.random.Generator) -> None:

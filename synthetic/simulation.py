@@ -53,11 +53,16 @@ class Simulation:
         return RigidTransform.from_matrix(matrix)
 
 
-def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator) -> Simulation:
-    """Simulation of a world under a plan: the temperatures are drawn, the machine run. Raises what `machine.run` raises."""
-    duration = plan.commands.t[-1]
-    true, log = worlds.temperatures(duration, rng, worlds.struts_of(axes_of(world.true.mechanism)))
-    sensors, log = logged(plan, true), logged(plan, log)
+def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
+    """Simulation of a world under a plan: the temperatures are drawn, the machine run. Raises what `machine.run` raises.
+
+    given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or None
+    """
+    if given is None:
+        true, log = worlds.temperatures(plan.commands.t[-1], rng, worlds.struts_of(axes_of(world.true.mechanism)))
+        sensors, log = logged(plan, true), logged(plan, log)
+    else:
+        sensors = log = given
     run = machine.run(world.true, plan.commands, plan.t, world.effects, sensors, rates=machine.rolls(world.true, world.effects))
     if world.true.insitu is not None:
         log = _with_limbs(log, plan.t, run.T_base_platform, world.true.insitu, rng)

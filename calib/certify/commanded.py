@@ -31,6 +31,14 @@ class Commanded:
     missing: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spread:
+    """covariance : (n, 6, 6) of poses; missing : channels that nobody logged and that change something."""
+
+    covariance: np.ndarray
+    missing: tuple[str, ...]
+
+
 def pace_of(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
     """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand at the start from where
     the sensors' log begins, so that a warm-up counts from there."""
@@ -56,16 +64,16 @@ def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace
         return Commanded(given, route, None, ())
     values = held(of, T, route, plain) if of.effects else plain
     if calibration.correction.fitted.kind != "hexapod":
-        return Commanded(values, route, None, of.missing)
+        return Commanded(values, route, None, ())
     to_pose = np.linalg.inv(hexapod.jacobian(T, calibration.correction.fitted))
     base = _covariance(calibration, of, T, route, values)
     if pace is not None and approach != "never" and memory(of).any():
-        found = _approached(of, T, route, values, pace, _struts(base, to_pose) if approach == "auto" else None)
+        found = _approached(of, T, route, values, pace, _struts(base.covariance, to_pose) if approach == "auto" else None)
         if found is not route:
             route, values = found, held(of, T, found, values)
             base = _covariance(calibration, of, T, route, values)
     doubt = unremembered(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
-    return Commanded(values, route, base + np.einsum("nij,nj,nkj->nik", to_pose, doubt, to_pose), of.missing)
+    return Commanded(values, route, base.covariance + np.einsum("nij,nj,nkj->nik", to_pose, doubt, to_pose), base.missing)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None) -> Route:
@@ -108,13 +116,13 @@ def _struts(covariance: np.ndarray, to_pose: np.ndarray) -> np.ndarray:
     return np.einsum("nij,njk,nik->ni", A, covariance, A)
 
 
-def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route: Route, values: np.ndarray) -> np.ndarray:
-    """(n, 6, 6): parameters of geometry and physics together, the struts' own scatter, channels that nobody logged, and what comes again at no
+def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route: Route, values: np.ndarray) -> _Spread:
+    """_Spread: parameters of geometry and physics together, the struts' own scatter, channels that nobody logged, and what comes again at no
     moment that anybody knows. docs/mathematics.md (21)"""
     fitted, physics = calibration.correction.fitted, calibration.physics
     to_pose, J = np.linalg.inv(hexapod.jacobian(T, fitted)), pose_jacobian(T, fitted)
     known = calibration.covariance
-    parts = [to_pose * calibration.scatter]
+    parts, missing = [to_pose * calibration.scatter], []
     if physics is not None:
         commands, t = route.commands(values), route.times
         middle = of.effective(commands, t, T)
@@ -123,11 +131,13 @@ def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route:
         for name in of.missing:
             course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
             moved = of.effective(commands, t, T, sensors=Sensors(of.sensors.t, course)) - middle
-            parts.append(to_pose @ moved[..., None])
+            if moved.any():
+                parts.append(to_pose @ moved[..., None])
+                missing.append(name)
         for effect in physics.scattering():
             moved = to_pose @ (of.effective(commands, t, T, (*of.effects, effect)) - middle)[..., None]
             parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
-    return J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts)
+    return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), tuple(missing))
 
 
 def _columns(physics: Physics, of: Machine, route: Route, values: np.ndarray, T: RigidTransform) -> np.ndarray:

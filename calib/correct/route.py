@@ -68,7 +68,8 @@ def timed(pace: Pace, held: np.ndarray, start: np.ndarray, reach: np.ndarray | N
     gap = t - np.r_[begin, t[:-1]]
     leave = t - gap + np.r_[0.0, np.minimum(HOLD, HELD * gap[1:])]
     least = np.minimum(way / pace.speed, t - leave)
-    late = np.flatnonzero((gap < 10 * BRIEF) | (way > (np.inf if pace.fastest is None else pace.fastest) * least * (1 + 1e-9)))
+    hurried = np.zeros(len(t), bool) if pace.fastest is None else way > pace.fastest * least * (1 + 1e-9)
+    late = np.flatnonzero((gap < 10 * BRIEF) | hurried)
     if len(late):
         lines = [f"pose {i}: {way[i]:.6g} of travel in {gap[i]:.4g} s" + (f", at most {pace.fastest:.4g} /s" if pace.fastest else "")
                  for i in late.tolist()]

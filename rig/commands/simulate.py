@@ -36,6 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the secret machine, the temperatures and the noise")
     parser.add_argument("--secret", type=float, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
     parser.add_argument("--machine", type=Path, metavar="TRUTH", help="take the machine, its cameras and effects from this truth file")
+    parser.add_argument("--sensors", metavar="FILE", type=Path, help="sensors.csv of temperatures and payload as they are, in place of drawn ones")
     parser.add_argument("--out", metavar="REC", type=Path, required=True)
     parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
     parser.add_argument("--background", choices=("plain", "cluttered"), default="plain")
@@ -67,6 +68,7 @@ def run(arguments: Namespace) -> None:
     import numpy as np
 
     from rig.plan import build
+    from rig.recording import load_sensors
     from synthetic import simulation, world
     from synthetic.pictures import Images, check_drawable
 
@@ -85,7 +87,7 @@ def run(arguments: Namespace) -> None:
     _places(arguments)
     out = arguments.outputs.folder(arguments.out)
     truth = arguments.outputs.file(arguments.truth) if arguments.truth else None
-    done = simulation.simulate(secret, plan, rng)
+    done = simulation.simulate(secret, plan, rng, load_sensors(arguments.sensors, plan.origin) if arguments.sensors else None)
     text = arguments.design.read_text(encoding="utf-8-sig")
     images = Images(sensor, arguments.background, arguments.compression) if arguments.images else None
     progress = Progress()
@@ -109,8 +111,8 @@ def _places(arguments: Namespace) -> None:
 
 def _again(arguments: Namespace) -> None:
     """Draw a diagnosed recording anew, with and without what was found."""
-    if arguments.design is not None or arguments.machine or arguments.effect:
-        raise RigError("--from brings its own rig, machine and effects; leave out RIG.toml, --machine and --effect")
+    if arguments.design is not None or arguments.machine or arguments.effect or arguments.sensors:
+        raise RigError("--from brings its own rig, machine, effects and sensors; leave out RIG.toml, --machine, --effect and --sensors")
 
     import numpy as np
 

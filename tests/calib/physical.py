@@ -1,0 +1,85 @@
+"""Rigs with one thing left out of their geometry: calibrated with what a diagnosis found, and driven in time under other weather and loads."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import Certified
+from calib.certify.commanded import command, pace_of
+from calib.correct.correction import calibrate
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.taken import of_diagnosis, take
+from calib.pipeline import sample_recording
+from rig import layout, machine, mechanisms, plan, recording
+from rig.effects import ALL
+from rig.effects.base import MOTION_STAGES
+from rig.pose import difference
+from synthetic import simulation, world
+from tests.calib.worlds import rms
+
+ASKED = [kind.name for kind in ALL if kind.stage in MOTION_STAGES]  # what cameras leave out is diagnosed apart, and takes most of the time
+POSES = 100
+LOAD_EVERY = 600.0  # s
+
+
+@dataclass(frozen=True)
+class Driven:
+    """error : (m, rad) RMS of 100 wanted poses driven in time; stated : m, RMS of its standard uncertainty; found : the Effects undone."""
+
+    error: tuple
+    stated: float
+    found: tuple
+
+
+def write(folder, design, text, seed, effects, route):
+    """(Recording at a folder, World) of a rig with effects. text : its rig.toml"""
+    rng = np.random.default_rng(seed)
+    secret = world.draw(design, rng, 1.0, tuple(effects))
+    simulation.write(simulation.simulate(secret, plan.build(design, route, seed), rng), folder, text, rng, 0.04)
+    return recording.load(folder), secret
+
+
+def learnt(rec, sampled, findings, remainder="find"):
+    """Calibration of a recording's samples; findings : Findings taken in, or None: geometry and what is smooth over the configuration alone.
+    remainder : "none" for no such thing"""
+    taken = None if findings is None else take(rec, sampled, findings)
+    samples = sampled.samples if taken is None else taken.samples
+    correction, found = calibrate(samples, rec.design.mechanism, remainder)
+    done = Certified(correction, found, np.arange(len(samples)), None)
+    physics, covariance = (None, found.covariance) if taken is None else taken.with_geometry(done)
+    return Calibration(correction, covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, physics)
+
+
+def driven(calibration, secret, seed, sensed=True, approach="auto"):
+    """Driven of a calibration through poses, times, weather and loads of another seed. sensed : whether the drive's sensors are logged"""
+    rng = np.random.default_rng([seed, 1])
+    m = secret.stated.mechanism
+    T = mechanisms.of(m).forward(plan.low_discrepancy(m.strut_range, POSES, 0.75, seed=int(rng.integers(1 << 30))), m)
+    t = 30 + np.cumsum(rng.uniform(8, 40, POSES))
+    true, log = world.temperatures(t[-1], rng)
+    payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
+    true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
+    done = command(calibration, T, mechanisms.of(m).home(m), pace_of(calibration, t, log), log if sensed else None, approach)
+    run = machine.run(secret.true, done.route.commands(np.round(done.values, 10)), t, secret.effects, true)
+    errors = difference(T, run.T_base_platform)
+    stated = np.sqrt(np.trace(done.covariance[:, :3, :3], axis1=1, axis2=2).mean())
+    return Driven(rms(errors), float(stated), () if calibration.physics is None else calibration.physics.undone())
+
+
+def three_ways(folder, design, text, seed, effect, route):
+    """(Driven with physics, Driven plain, Driven of the same rig without the effect, calibrated plainly)."""
+    rec, secret = write(folder / "with", design, text, seed, (effect,), route)
+    sampled = sample_recording(rec)
+    known = learnt(rec, sampled, of_diagnosis(diagnose(rec, only=ASKED, sampled=sampled)))
+    plain = learnt(rec, sampled, None)
+    bare, innocent = write(folder / "without", design, text, seed, (), route)
+    without = learnt(bare, sample_recording(bare), None)
+    return driven(known, secret, seed + 1000), driven(plain, secret, seed + 1000), driven(without, innocent, seed + 1000)
+
+
+def measured_by(text=None, position=4e-6, rotation=3e-5):
+    """A rig.toml whose poses an outside instrument sees, in place of cameras: m and rad, standard deviations."""
+    text = layout.layout(0.3) if text is None else text
+    return text[: text.index("\n[[camera]]")] + (f'\n[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = {position}\n'
+                                                 f"rotation_sigma = {rotation}\n")
