@@ -17,7 +17,7 @@ from rig.plan import SPEED, UNSTATED_SPEED
 from rig.recording import Sensors
 
 BEYOND = 1.2  # times what an axis remembers that an approach goes
-APPROACHES = ("auto", "always", "never")
+ANY_TIME, GOLDEN = 60.0, 0.5 * (np.sqrt(5) - 1)  # s over which moments are spread, evenly and without a period
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +134,10 @@ def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route:
             if moved.any():
                 parts.append(to_pose @ moved[..., None])
                 missing.append(name)
+        any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
         for effect in physics.scattering():
-            moved = to_pose @ (of.effective(commands, t, T, (*of.effects, effect)) - middle)[..., None]
+            ends = [of.effective(commands, any_time, T, effects) for effects in (of.effects, (*of.effects, effect))]
+            moved = to_pose @ (ends[1] - ends[0])[..., None]
             parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
     return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), tuple(missing))
 
