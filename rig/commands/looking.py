@@ -144,10 +144,12 @@ class Looking:
         """Measure what still waits, then let displays go."""
         self._queue.put(None)
         self._worker.join()
-        if self._live is not None:
-            self._live.close()
-        for display in self.displays:
-            display.close()
+        try:
+            if self._live is not None:
+                self._live.close()
+        finally:
+            for display in self.displays:
+                display.close()
         if self._failed is not None:
             raise self._failed
 

@@ -104,7 +104,8 @@ class Live:
         """Take over an adjustment that has come to its end. Raises what it raised."""
         if self._adjusting is None or not self._adjusting.done():
             return
-        done, self._adjusting = self._adjusting.result(), None
+        adjusting, self._adjusting = self._adjusting, None
+        done = adjusting.result()
         self._spread |= done.spread
         self._rows = [(frame, name, done.again.get((frame, name), detection)) for frame, name, detection in self._rows]
         if done.measurement is not None:
