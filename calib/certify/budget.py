@@ -50,17 +50,21 @@ def rms(covariance: np.ndarray) -> tuple[float, float]:
 
 
 def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """(cameras, lenses), each (m, rad) RMS that their uncertainty adds to a pose, None where poses came without their images."""
+    """(cameras, lenses), each (m, rad) RMS that their uncertainty adds to a pose, None where poses came without their images.
+
+    Where a camera stands and what its lens does go together: cameras' part is what is left were all lenses known, lenses' part the rest, in
+    squares, so that both make up what all poses share
+    """
     shares: list[list[tuple[float, float]]] = [[], []]
     for samples, measurement in measured:
         if measurement is None:
             return None, None
         adjustment = measurement.adjustment
-        gain = samples.common @ np.linalg.pinv(adjustment.shared_factor)
-        place = np.array([part in PLACE for _, part in adjustment.shared_names], bool)
-        for out, chosen in zip(shares, (place, ~place)):
-            moved = gain[:, :, chosen] @ adjustment.shared_factor[chosen]
-            out.append(rms(moved @ np.swapaxes(moved, 1, 2)))
+        lens = adjustment.shared_factor[np.array([part not in PLACE for _, part in adjustment.shared_names], bool)]
+        left = samples.common @ (np.eye(samples.common.shape[2]) - np.linalg.pinv(lens) @ lens)
+        whole, cameras_own = rms(samples.common @ np.swapaxes(samples.common, 1, 2)), rms(left @ np.swapaxes(left, 1, 2))
+        shares[0].append(cameras_own)
+        shares[1].append((_less(whole[0], cameras_own[0]), _less(whole[1], cameras_own[1])))
     cameras, lenses = (tuple(np.sqrt(np.mean(np.square(part), axis=0)).tolist()) for part in shares)
     return (cameras[0], cameras[1]), (lenses[0], lenses[1])
 

@@ -60,8 +60,8 @@ def trial(design, seed):
     strokes = design.mechanism.strut_range
     goals = np.concatenate([plan.low_discrepancy(strokes, FITTED, seed=seed), plan.scaled(strokes, rng.uniform(-1, 1, (POSES, 6)), plan.FILL)])
     route = plan.settled(goals, strokes.mean(axis=1), plan.speed_of(design))
-    weather, _ = world.weather(float(route.commands.t[-1]), rng)
-    sensors = plan.logged(route, weather)
+    warmth, _ = world.temperatures(float(route.commands.t[-1]), rng)
+    sensors = plan.logged(route, warmth)
     while True:
         names = tuple(rng.choice(KINDS, rng.integers(0, 3), replace=False).tolist())
         secret = world.draw(design, rng)
