@@ -198,7 +198,8 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
     if commanded.frame is not None and set(commanded.frame.astype(int).tolist()) <= set(at):
         return replace(commanded, t=[at[int(n)] for n in commanded.frame])
     if len(at) != len(commanded.values):
-        raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; a column t says when")
+        raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
+                       "state which column says when with --set 'commands.columns.t=HEADER'")
     return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"))
 
 

@@ -9,7 +9,8 @@ from rig.importing.recipe import ForeignTable
 from rig.importing.units import split
 from rig.outside import shown
 
-TIME = ("t", "time", "timestamp", "stamp", "zeit", "epoch", "datetime", "utc", "unixtime", "clock")
+TIME = ("t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "uhrzeit", "elapsed", "elapsedtime", "epoch",
+        "datetime", "utc", "unixtime", "clock")
 FRAME = ("frame", "index", "nr", "no", "number", "i", "id", "bild", "n", "pose", "point")
 IMAGE = ("image", "file", "filename", "img", "picture", "path")
 CAMERA = ("camera", "cam", "kamera")

@@ -56,13 +56,12 @@ def read(table: ForeignTable, name: str) -> Cells:
     """
     content, words = _decoded(table.file)
     lines = _lines(table.file, content)
-    fits: list[Cells] = []
-    for separator in SEPARATORS if table.separator is None else (table.separator,):
-        for decimal in DECIMALS if table.decimal is None else (table.decimal,):
-            found = _parsed(table, lines, separator, decimal)
-            if found is not None:
-                fits.append(found)
+    fits = _fitting(table, lines)
     if not fits:
+        whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
+        if whole:
+            raise FileError(table.file, f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} cells each: the "
+                            f"file is cut off; mend the line or take it out: {shown(lines[-1][1])}", lines[-1][0])
         raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
                         "decimal points or commas; its separator and decimal can be stated: "
                         f"--set {name}.separator=semicolon --set {name}.decimal=comma")
@@ -78,6 +77,13 @@ def read(table: ForeignTable, name: str) -> Cells:
             for one in (first, *others)])
     _no_groups(table, first, lines, name)
     return Cells(first.path, first.header, first.rows, first.lines, first.table, (*words, *first.said))
+
+
+def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:
+    """Cells of every dialect, of those that the table leaves open, that fits all lines."""
+    tried = (_parsed(table, lines, separator, decimal) for separator in (SEPARATORS if table.separator is None else (table.separator,))
+             for decimal in (DECIMALS if table.decimal is None else (table.decimal,)))
+    return [found for found in tried if found is not None]
 
 
 def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:

@@ -39,3 +39,23 @@ def test_twenty_images_become_a_calibration(tmp_path):
     assert status == 0 and "20 of 20 frames solved" in text.splitlines()[0], text
     status, text = said("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
     assert status == 0 and (tmp_path / "calibration.json").exists(), text
+
+
+def test_a_log_that_is_cut_off_names_its_last_line(tmp_path):
+    theirs(tmp_path)
+    lines = (tmp_path / "log.csv").read_text(encoding="utf-8-sig").splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([*lines[:9], lines[9][:30]]))
+    status, text = said("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv",
+                        "--out", tmp_path / "rec")
+    assert status == 1 and "log.csv:10: its last line is not like the 7 before it" in text and "cut off" in text, text
+
+
+def test_a_header_that_is_not_known_is_asked_for(tmp_path):
+    theirs(tmp_path)
+    log = (tmp_path / "log.csv").read_text(encoding="utf-8-sig")
+    words = ("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv", "--out", tmp_path / "rec")
+    (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Tick [ms]"))
+    status, text = said(*words)
+    assert status == 1 and "--set 'commands.columns.t=HEADER'" in text, text
+    (tmp_path / "log.csv").write_text(log.replace("Time [ms]", "Zeitstempel (ms)"))
+    assert said(*words)[0] == 0
