@@ -246,7 +246,7 @@ def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np
 
 
 def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
-           finest: float) -> Located | None:
+                 finest: float) -> Located | None:
     """Located, a different pose that fits as well, or None. Only a candidate near nearly all corners can be one."""
     near = np.flatnonzero((distance < CONSENSUS).mean(axis=1) >= 0.9)
     tried, free = [matrix], max(2 * len(view.points) - 6, 1)
