@@ -70,6 +70,13 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
+def after(own: dict[str, Any], before: Calibration) -> dict[str, Any]:
+    """The provenance of a pass: its own, the passes before it in their order, and the marks of the data of all."""
+    first = {name: before.provenance[name] for name in ("recording", "inputs_sha256", "arguments", "created") if name in before.provenance}
+    passes = [*before.provenance.get("passes", []), first]
+    return {**own, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
+
+
 def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
     """The frames of a recording that a calibration was made from, be it by way of what was measured from it, or it from them."""
     return shared(marks(recording), calibration.provenance.get("data", ()))

@@ -1,5 +1,6 @@
 """What an extension over the configuration space promises, from configurations it was not fitted to; of several ways the best one there."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,9 +11,9 @@ from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, closing,
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, correlation
 from calib.correct.correction import Correction
-from calib.correct.extend import corrected, extend, geometry_of, left
+from calib.correct.extend import corrected, extend, geometry_of, left, left_by, with_pass
 from calib.correct.interpolate import kinds
-from calib.correct.interpolate.field import Field
+from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.grid import lattice
 from calib.correct.interpolate.weighted import Weighted
 from calib.identify.geometry import Identified, identify, pose_jacobian
@@ -33,6 +34,13 @@ class Asked(NamedTuple):
 
     kind: str
     alone: bool
+
+
+class Stand(NamedTuple):
+    """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that on top, or None."""
+
+    known: Known
+    correct: Callable[[Field | None], Correction]
 
 
 class Tried(NamedTuple):
@@ -56,33 +64,60 @@ def certify_extended(samples: Samples, nominal: Hexapod, asked: Asked, rng: np.r
     label = labels(samples.commanded, ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = geometry_of(samples, nominal, asked.alone)
-    known = left(samples, found)
     said("fitting the geometry", 1, 1)
+
+    def stand(some: Samples) -> Stand:
+        geometry = found if some is samples else geometry_of(some, nominal, asked.alone, found.prior)
+        return Stand(left(some, geometry), lambda field: corrected(nominal, geometry, field))
+
+    done, tried = _extended(samples, (nominal, label, found), stand, asked.kind, rng, said)
+    field = done.correction.extension
+    return done if field is None else replace(done, found=_without(samples, nominal, found, field, asked.alone)), tried
+
+
+def certify_onto(samples: Samples, correction: Correction, kind: str, rng: np.random.Generator,
+                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+    """(Certified, what was tried): one more pass on the machine that a Correction corrects, by samples measured anew; the rest as `certify_extended`.
+
+    Source: configuration-space patent, [0035]
+    """
+    nominal = correction.nominal
+    found = geometry_of(samples, nominal, True)
+
+    def stand(some: Samples) -> Stand:
+        return Stand(left_by(some, correction), lambda field: with_pass(correction, field))
+
+    labelled = nominal, labels(samples.commanded, ranges(nominal)), replace(found, hexapod=correction.fitted)
+    done, tried = _extended(samples, labelled, stand, kind, rng, progress or (lambda label, done, of: None))
+    return replace(done, found=replace(done.found, residuals=left_by(samples, done.correction).values)), tried
+
+
+def _extended(samples: Samples, basis: tuple[Hexapod, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
+              rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
+    """What one way, or of all ways the best, makes of what a stand leaves; basis : nominal, label (n,) of the samples, the geometry."""
+    nominal, label, found = basis
+    known, correct = stand(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
-    for name in kinds.ALL if asked.kind == AUTO else (asked.kind,):
+    for name in kinds.ALL if kind == AUTO else (kind,):
         said(f"extending: {name}", 0, 1)
         try:
             fields[name] = extend(known, name)
         except RigError as error:
-            if asked.kind != AUTO:
+            if kind != AUTO:
                 raise
             refused[name] = str(error)
     splits = _splits(samples, label, nominal)
-    outcome = None if not splits else _held_out(samples, nominal, (found, asked.alone), fields, splits, said)
-    kind = asked.kind if asked.kind != AUTO else NONE if outcome is None else _best(outcome)
+    outcome = None if not splits else _held_out(samples, nominal, stand, fields, splits, said)
+    kind = kind if kind != AUTO else NONE if outcome is None else _best(outcome)
     held = {} if outcome is None else {name: compare(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
                                        for name, errors in outcome.after.items()}
     tried = [Tried(name, held.get(name), None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
-    done = Certified(corrected(nominal, found, fields[kind]), found, label, held.get(kind))
     field = fields[kind]
     if isinstance(field, Weighted) and outcome is not None and outcome.beside:
         field = _scaled(field, outcome, held[kind], nominal)
-        done = replace(done, correction=corrected(nominal, found, field))
-    if field is not None:
-        done = replace(done, found=_without(samples, nominal, found, field, asked.alone))
-    return done, tuple(tried)
+    return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
 
 
 def _without(samples: Samples, nominal: Hexapod, found: Identified, field: Field, alone: bool) -> Identified:
@@ -122,19 +157,17 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Hexapod) -> list[tuple
     return [(on & ~plane, plane) for plane in planes[::every]]
 
 
-def _held_out(samples: Samples, nominal: Hexapod, basis: tuple[Identified, bool], fields: dict[str, Field | None],
+def _held_out(samples: Samples, nominal: Hexapod, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
               splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
-    found, alone = basis
     rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
     said("holding configurations out", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
         rest = samples.take(out)
-        geometry = geometry_of(samples.take(fitted), nominal, alone, found.prior)
-        known = left(samples.take(fitted), geometry)
+        known, correct = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
         before.append(difference(mechanisms.of(nominal).forward(rest.commanded, nominal), rest.T_base_platform))
         for name, field in fields.items():
-            correction = corrected(nominal, geometry, None if field is None else extend(known, name, field))
+            correction = correct(None if field is None else extend(known, name, field))
             after[name].append(difference(correction.predict(rest.commanded), rest.T_base_platform))
         said("holding configurations out", k + 1, len(splits))
     at = np.concatenate(rows)

@@ -5,6 +5,7 @@ model as IK, or on top of the fitted geometry, where it extends what that leaves
 Source: configuration-space patent, [0026] to [0030], [0126] to [0137]
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
+from calib.correct.interpolate.passes import Passes
 from calib.correct.interpolate.radial import RadialMap
 from calib.identify.geometry import PRIOR, Identified, identify
 from calib.identify.tolerance import tolerance
@@ -53,6 +55,24 @@ def left(samples: Samples, found: Identified) -> Known:
     """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was sought."""
     kinematics = mechanisms.of(found.hexapod)
     return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.hexapod))
+
+
+def left_by(samples: Samples, correction: Correction[Any, Any]) -> Known:
+    """What an earlier pass leaves: the lengths that its correction takes the struts to have, less those of the pose that was measured.
+
+    Source: configuration-space patent, [0035]
+    """
+    known = summands(samples, correction.fitted)
+    return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
+
+
+def with_pass(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+    """The Correction with one more pass on top; the same where the pass is None."""
+    if field is None:
+        return correction
+    before = correction.extension
+    fields = () if before is None else before.fields if isinstance(before, Passes) else (before,)
+    return replace(correction, extension=Passes((*fields, field)))
 
 
 def extend(known: Known, kind: str, like: Field | None = None) -> Field:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking
-from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
 from rig.errors import RigError
 from rig.kinds import arm_of, hexapod_of
 
@@ -40,6 +40,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--extend", choices=WAYS, metavar="WAY", help="extend the corrections at the recorded configurations over all of them: "
                         f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or auto, by held-out error")
     parser.add_argument("--alone", action="store_true", help="of --extend: correct the owner's model itself, with no geometry fitted first")
+    parser.add_argument("--onto", metavar="CALIBRATION", type=Path, help="of --extend: one more pass, on the rig that this calibration corrects: "
+                        "what it leaves in the recording is corrected on top; order and count are kept")
+    parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
     add_force(parser)
     checking.argument(parser)
 
@@ -61,25 +64,25 @@ def run(arguments: Namespace) -> None:
     findings = _findings(arguments, recording)
     sampled = sample_recording(recording, progress=progress, look=look)
     rng = np.random.default_rng(SEED)
-    if arguments.alone and not arguments.extend:
-        raise RigError("--alone says on what --extend stands; it takes one")
-    if arguments.extend and (arguments.joint or recording.design.mechanism.kind != "hexapod"):
-        raise RigError("--extend extends a hexapod's corrections" + (", and is not for --joint" if arguments.joint else
-                       f", not those of a mechanism of kind {recording.design.mechanism.kind!r}"))
+    if (arguments.alone or arguments.onto) and not arguments.extend or (arguments.alone and arguments.onto):
+        raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
+    if arguments.extend and arguments.joint:
+        raise RigError("--extend is not for --joint: give one of them")
     if arguments.extend:
-        _extended(recording, sampled, (out, page), arguments, rng, progress)
+        calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
     elif recording.design.mechanism.kind == "arm":
         if arguments.joint:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
-        _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
+        calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
-        _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
+        calibration = _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
     if values is not None and nominal.kind == "hexapod":
         from calib.correct.values import summand_columns, summand_rows
         from rig.writing import write_table
 
         write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, nominal))
+    _say_promise(arguments.promise, calibration.claim)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
@@ -114,7 +117,7 @@ def _values_name(out: Path) -> str:
 
 
 def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
-             joint: bool, taken: Taken | None) -> None:
+             joint: bool, taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised
     from calib.certify.verdict import verdict
     from calib.report import calibration_page
@@ -141,20 +144,27 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
     _print_physics(calibration.physics)
     _print_poses(sampled, done)
+    return calibration
 
 
 def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], arguments: Namespace, rng: np.random.Generator,
-              progress: Progress) -> None:
+              progress: Progress) -> Calibration:
     from calib.certify.certificate import promised
-    from calib.certify.extended import Asked, certify_extended, promised_alone
+    from calib.certify.extended import Asked, certify_extended, certify_onto, promised_alone
     from calib.certify.verdict import verdict
     from calib.correct.extend import single_step_misses
     from calib.report import calibration_page
 
-    samples = sampled.samples
-    done, tried = certify_extended(samples, hexapod_of(recording.design.mechanism), Asked(arguments.extend, arguments.alone), rng, progress)
-    claim = promised_alone(samples, done, rng) if arguments.alone else promised(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim)
+    samples, nominal = sampled.samples, recording.design.mechanism
+    if nominal.kind != "hexapod":
+        raise RigError(f"--extend extends a hexapod's corrections, not those of a mechanism of kind {nominal.kind!r}")
+    before = _before(arguments.onto, nominal) if arguments.onto else None
+    if before is None:
+        done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
+    else:
+        done, tried = certify_onto(samples, before.correction, arguments.extend, rng, progress)
+    claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim, before=before)
     if out[1]:
         progress("drawing the page", 0, 1)
         calibration_page(out[1], recording, calibration, samples, done.found)
@@ -168,13 +178,15 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     field = done.correction.extension
     known = getattr(field, "values", None) if field is not None and field.exact else None
-    on = "the owner's model alone" if arguments.alone else "the fitted geometry"
+    on = f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
+        "the owner's model alone" if arguments.alone else "the fitted geometry")
     rms, most = single_step_misses(done.correction)
     print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
           + (f"; exact at its {len(known)} samples" if known is not None else ""))
     print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms * 1e6:.3f} um RMS, {most * 1e6:.3f} um "
           "at most")
     _print_poses(sampled, done)
+    return calibration
 
 
 def _print_physics(physics: Physics | None) -> None:
@@ -190,7 +202,20 @@ def _print_physics(physics: Physics | None) -> None:
                                            "function of the configuration explains it"))
 
 
-def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress) -> None:
+def _before(path: Path, nominal: Any) -> Calibration:
+    """The Calibration on which a pass stands. Raises RigError for one of another machine, or one that knows physics."""
+    from calib import store
+
+    before = store.load(path)
+    if store.mechanism_out(before.correction.nominal) != store.mechanism_out(nominal):
+        raise RigError(f"{path} is a calibration of another machine than this recording's rig.toml states")
+    if before.physics is not None:
+        raise RigError(f"{path} knows physics besides the configuration; a pass goes on top of corrections by configuration alone")
+    return before
+
+
+def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator,
+         progress: Progress) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
     from calib.certify.verdict import verdict
@@ -213,6 +238,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
               f"{done.scattered.after.position[0] * 1e3:.4f} RMS")
     print("\n".join(done.found.rank.report()))
     _print_poses(sampled, done)
+    return calibration
 
 
 def _print_poses(sampled: Sampled, done: Certified | ArmCertified) -> None:
@@ -220,15 +246,30 @@ def _print_poses(sampled: Sampled, done: Certified | ArmCertified) -> None:
           "them agree with one geometry")
 
 
+def _say_promise(promise: float | None, claim: Claim | None) -> None:
+    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
+    if promise is None or claim is None:
+        return
+    if claim.after is None:
+        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
+        return
+    middle, _, most = claim.after[0]
+    met = "is met" if most <= promise else "is NOT met yet; rig plan --promise --given the recording names the next best poses"
+    print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
+
+
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
-            known: tuple[Physics, np.ndarray] | None = None) -> Calibration:
+            known: tuple[Physics, np.ndarray] | None = None, before: Calibration | None = None) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration
 
     frames, found = sampled.samples.frame, done.found
     physics, covariance = (None, found.covariance) if known is None else known
+    source = store.provenance(recording, argv, SEED, sampled.source == "images")
+    if before is not None:
+        source = store.after(source, before)
     calibration = Calibration(
         done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, store.provenance(recording, argv, SEED, sampled.source == "images"), claim, physics)
+        done.held_out, source, claim, physics)
     store.save(out, calibration)
     return calibration

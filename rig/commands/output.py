@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +85,20 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
     """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
     parser.add_argument(name, dest="overwrite", action="store_true",
                         help="write over what this command did not make; what it reads it never writes over")
+
+
+def length(text: str) -> float:
+    """m of a length as written on the command line: 20um, 0.02mm or 2e-5m. Raises ArgumentTypeError for anything else."""
+    for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
+        if text.endswith(unit):
+            try:
+                value = float(text.removesuffix(unit)) * scale
+            except ValueError:
+                break
+            if 0 < value < float("inf"):
+                return value
+            break
+    raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
 
 
 def add_driving(parser: ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""rig plan RIG.toml --for parameters --out FILE, or rig plan RIG.toml --separate EFFECT EFFECT --out FILE."""
+"""rig plan RIG.toml --for parameters|--promise 20um|--separate EFFECT EFFECT --out FILE."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, file_or_stdout
+from rig.commands.output import SEED, Progress, add_force, file_or_stdout, length
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ def arguments(parser: ArgumentParser) -> None:
     asked.add_argument("--for", dest="purpose", choices=tuple(PURPOSES), help="what the plan is to find out")
     asked.add_argument("--separate", nargs=2, metavar=("EFFECT", "EFFECT"), help="which moves tell two effects apart, each written as for "
                        "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan")
+    asked.add_argument("--promise", type=length, metavar="20um", help="the fewest and best poses after which the corrected machine keeps to so much, "
+                       "RMS over its workspace; beside those --given the next best ones, in the order in which they help")
     parser.add_argument("--count", type=int, default=60, help="configurations to choose (default 60)")
     parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
                         help="smallest volume of uncertainty (default), or smallest amplification of noise")
@@ -38,7 +40,34 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Choose configurations, write them, and say what they make visible."""
-    (_separate if arguments.separate else PURPOSES[arguments.purpose])(arguments)
+    (_promise if arguments.promise else _separate if arguments.separate else PURPOSES[arguments.purpose])(arguments)
+
+
+def _promise(arguments: Namespace) -> None:
+    """Write the fewest configurations that keep a promise."""
+    from rig import design_file, writing
+
+    mechanism = design_file.load(arguments.design).mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    out = arguments.outputs.file(arguments.out)
+
+    from calib.identify.promised_poses import fewest
+
+    given = _given(arguments.given, mechanism) if arguments.given else None
+    progress = Progress()
+    found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of))
+    progress.close()
+    writing.write_table(out, ("frame", *mechanism.axes),
+                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(found.commands)])
+    count, visited = len(found.commands), 0 if given is None else len(given)
+    if not count:
+        print(f"the promise is met by the {visited} configurations given: {found.left[0] * 1e6:.3g} um left")
+    else:
+        print(f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
+              f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top")
+        print("left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um")
+    print(f"written: {arguments.out}")
 
 
 def _separate(arguments: Namespace) -> None:

@@ -10,6 +10,7 @@ from calib.correct.interpolate.axes import Axes
 from calib.correct.interpolate.delaunay import Delaunay
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.linear import Linear
+from calib.correct.interpolate.passes import Passes
 from calib.correct.interpolate.polynomial import Polynomial
 from calib.correct.interpolate.radial import Radial, RadialMap
 from calib.correct.interpolate.simplex import Simplex
@@ -34,6 +35,8 @@ def fit(kind: str, known: Known) -> Field:
 
 def as_dict(field: Field) -> dict[str, Any]:
     """dict of a Field, as JSON holds it."""
+    if isinstance(field, Passes):
+        return {"kind": field.kind, "fields": [as_dict(one) for one in field.fields]}
     return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts_of(field) if part.init}  # type: ignore[arg-type]
 
 
@@ -47,6 +50,8 @@ def _plain(value: Any) -> Any:
 
 def from_entries(table: Entries, axes: int) -> Field:
     """Field over so many axes, of what `as_dict` gave. Raises FileError for anything else."""
+    if table.text("kind", (*ALL, Passes.kind)) == Passes.kind:
+        return Passes(tuple(from_entries(one, axes) for one in table.tables("fields")))
     kind = ALL[table.text("kind", tuple(ALL))]
     build: Callable[..., Field] = kind
     if kind is RadialMap:

@@ -8,7 +8,7 @@ import pytest
 from calib import store
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import model_covariance, promised
-from calib.certify.extended import Asked, certify_extended, promised_alone
+from calib.certify.extended import Asked, certify_extended, certify_onto, promised_alone
 from calib.correct.extend import single_step_misses
 from rig.configurations import division, low_discrepancy
 from rig.errors import RigError
@@ -114,3 +114,22 @@ def test_readings_become_the_poses_that_they_stand_for(gridded, design, tmp_path
     assert 0.05 < ratio < 4
     (tmp_path / "r.csv").write_text("frame,l1,l2,l3,l4,l5,l6\n0,1,1,1,1,1,1\n")
     assert main(["correct", str(tmp_path / "c.json"), "--forward", str(tmp_path / "r.csv"), "--out", str(tmp_path / "q.csv")]) == 1
+
+
+def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
+    """A function of each axis alone leaves what struts feel of each other; a pass of simplices on top takes it; both are kept in order."""
+    samples, true = gridded
+    first, _ = certify_extended(samples, design.mechanism, Asked("axes", True), np.random.default_rng(0))
+    second, tried = certify_onto(samples, first.correction, "simplex", np.random.default_rng(0))
+    figures = {one.kind: one.held_out.after.position[0] for one in tried}
+    assert figures["simplex"] < 0.7 * figures["none"]
+    inner = low_discrepancy(design.mechanism.strut_range, 60, 0.5, 3)
+    left = [rms(difference(done.correction.predict(inner), real(inner, true, coupled)))[0] for done in (first, second)]
+    assert left[1] < 0.7 * left[0]
+    assert [field.kind for field in second.correction.extension.fields] == ["axes", "simplex"]
+    np.testing.assert_allclose(second.correction.extension.gradient(inner), sum(f.gradient(inner) for f in second.correction.extension.fields))
+    kept = Calibration(second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0})
+    store.save(tmp_path / "c.json", kept)
+    np.testing.assert_allclose(store.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18)
+    source = store.after({"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}))
+    assert source == {"recording": "b", "data": ["1", "2"], "passes": [{"recording": "a", "created": "then"}]}
