@@ -50,18 +50,26 @@ class Path:
     @property
     def last_step(self) -> np.ndarray:
         """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it do not count."""
-        speeds = self.speeds
-        rest = ~speeds.any(axis=1)
-        moving = np.flatnonzero(~rest)
+        speeds, ends = self.speeds, self._ends
+        moving = np.flatnonzero(speeds.any(axis=1))
         starts = np.zeros(len(self.t), int)  # the knot at which the move that ends at a knot began
         limit = STEADY * np.abs(speeds).max(initial=0.0)
         if len(moving):
             turned = np.abs(np.diff(speeds[moving], axis=0)).max(axis=1) > limit
             fresh = np.r_[True, turned | (np.diff(moving) > 1)]
             starts[moving] = (moving - 1)[fresh][np.cumsum(fresh) - 1]
-        ends = np.maximum.accumulate(np.where(rest, 0, np.arange(len(self.t))))  # the last knot that a move led to
         step = self.lengths[ends] - self.lengths[starts[ends]]
         return step[self.at]
+
+    @property
+    def _ends(self) -> np.ndarray:
+        """(m,) the last knot that a move led to, by each knot."""
+        return np.maximum.accumulate(np.where(self.speeds.any(axis=1), np.arange(len(self.t)), 0))
+
+    @property
+    def dwell(self) -> np.ndarray:
+        """(n,) s that nothing has moved for at the exposures; from the start on where nothing ever did."""
+        return self.t[self.at] - self.t[self._ends[self.at]]
 
     @property
     def since_reversal(self) -> np.ndarray:

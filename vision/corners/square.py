@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.cholesky import factor, solve
+from vision.corners.covered import covered, uncovered
 from vision.corners.edges import EdgePixels, Printed, edge_pixels
 from vision.corners.gauss_newton import (
     CHUNK,
@@ -106,17 +107,18 @@ class Fits(NamedTuple):
     profile: np.ndarray
 
 
-Room = tuple[EdgePixels, EdgePixels, Work, np.ndarray]  # see `_room`
+Room = tuple[EdgePixels, EdgePixels, Work, np.ndarray, np.ndarray, np.ndarray]  # see `_room`
 
 
 @kernel
 def _room(largest: int, n: int) -> Room:
-    """(all EdgePixels, a sample of them, Work, sums of `segments`) for markers of n bits each way in boxes of at most so many pixels."""
+    """(all EdgePixels, a sample of them, Work, sums of `segments`, counts and cells of `covered`) for markers of n bits each way in boxes of at
+    most so many pixels."""
     every = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
     sample = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
     work = Work(np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8)),
                 np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32), np.zeros(largest, np.float32))
-    return every, sample, work, np.empty((2, n + 5, n + 5, 2))
+    return every, sample, work, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)), np.empty((n + 5, n + 5), np.bool_)
 
 
 @kernel
@@ -163,7 +165,8 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
 @kernel
 def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
-    every, sample, work, sums = room
+    every, sample, work, sums, told, hidden = room
+    hidden[:] = False
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]
     scale = centre[2]
     g, light, slope = np.empty((3, 3)), np.zeros(6), np.empty((2, 2))
@@ -171,12 +174,15 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     if not homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
         return WANDERED
     lit, limit, away, collected, part, count, stride, whole = False, UNLIMITED, np.inf, s, False, 0, 1, False
+    lost, dropped = 0, 0  # pixels that did not fit and were dropped, all that were dropped with them
     for iteration in range(manner.iterations):
         if away > STRAYED or s > WIDENED * collected:
             if iteration > 0:
                 to_image(lens, centre, quad, corners, fits.covariances[m])
                 quad[:] = corners
-            count = edge_pixels(crop, marker, quad, g, s, every)
+            there = edge_pixels(crop, marker, quad, g, s, every)
+            count = uncovered(every, there, g, hidden) if dropped else there
+            dropped = there - count
             if count < FEWEST:
                 return NO_PIXELS
             away, collected, stride = 0.0, s, max(count // SAMPLE, 1)
@@ -203,12 +209,18 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
         away += moved.moved
         if part or limit == UNLIMITED:
             limit = TRUSTED * max(1.4826 * np.median(work.sizes[: max(counted.told, 1)]), FINEST)
-        fits.contrast[m], fits.used[m], fits.doubted[m] = light[0] - light[3], used, counted.doubted / used
+        fits.contrast[m], fits.used[m], fits.doubted[m] = light[0] - light[3], used, (lost + counted.doubted) / (used + dropped)
         fits.width[m], fits.steps[m] = s, iteration
         if part:
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
+            if counted.doubted and covered(every, count, g, work.rows, told, hidden):
+                lost, left = lost + counted.doubted, uncovered(every, count, g, hidden)
+                dropped, count = dropped + count - left, left
+                if count < FEWEST:
+                    return NO_PIXELS
+                continue
             if not corners_at(g, n, corners, work.J):
                 return WANDERED
             segments(every, count, g, work.rows, work.x, sums)

@@ -52,6 +52,11 @@ def diagnosis_page(path: Path, report: Report, view: View) -> None:
     for finding in slight:
         parts += [f"<h3>{words.title(finding)}{html.escape(words.size(finding))}{words.beforehand(finding)}</h3>", *_slight(finding)]
     parts += ["<h2>What remains</h2>", *_remaining(report, view)]
+    if report.covariates:
+        parts += ["<h2>What it goes with</h2>",
+                  "<p>Share of the squares left that smooth functions of one covariate explain, beyond what as many numbers do by chance: with "
+                  "nothing admitted, and with all that was found. Covariates that go together share what they explain.</p>",
+                  table(*words.covariate_table(report.covariates))]
     if report.remarks:
         parts += ["<h2>There, and nobody's fault</h2>",
                   "<p>Beyond chance, and no more than parts and instruments may do on their own: nothing to be done about it.</p>",

@@ -24,6 +24,7 @@ from calib.diagnose.report.schema import (
     Report,
     Unexplained,
     Value,
+    covariate_entries,
     said_of,
     write,
 )
@@ -44,7 +45,7 @@ def report(d: PlatformDiagnosis) -> Report:
     found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), d.said)
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said)
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.diagnose.engine.given import Given
+from calib.diagnose.engine.ranking import Covariate
 from rig.files import write_text
 
 SCHEMA = "diagnosis/1"
@@ -112,11 +113,34 @@ class NotAskedEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class ShareEntry:
+    """Share of the squares left that a covariate explains, with nothing admitted and with all; p_value : of chance, with all."""
+
+    before: float
+    after: float
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateEntry:
+    """What is left against one covariate. explains : {"struts" | "images" | "poses": ShareEntry}"""
+
+    name: str
+    explains: dict[str, ShareEntry]
+
+
+def covariate_entries(found: list[Covariate]) -> tuple[CovariateEntry, ...]:
+    """Entries of ranked covariates, in their order."""
+    return tuple(CovariateEntry(c.name, {what: ShareEntry(s.share, c.after[what].share, c.after[what].p_value) for what, s in c.before.items()})
+                 for c in found)
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """Of one recording. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
     fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
-    said : what the operator said beforehand, as options
+    covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
     more : what one kind of machine has to say besides"""
 
     recording: str
@@ -128,6 +152,7 @@ class Report:
     fit: FitEntry
     not_asked: tuple[NotAskedEntry, ...]
     remarks: tuple[RemarkEntry, ...] = ()
+    covariates: tuple[CovariateEntry, ...] = ()
     said: tuple[str, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 

@@ -1,10 +1,11 @@
 """A Report in words and figures for people: micrometres, microradians, pixels; what was found, how sure, what to do."""
 
 import html
+from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.report.schema import ASSUMED, FindingEntry, FitEntry, RemarkEntry, Report, Value
+from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, Value
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -99,6 +100,18 @@ def how_sure(finding: FindingEntry) -> str:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
         said.append("it was assumed, and this recording " + ("shows it by itself as well" if shown else "would not have shown it by itself"))
     return f"How sure: {'; '.join(said)}."
+
+
+def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """(heads, rows) of what is left against covariates: shares of the squares before and after, and the smallest chance after."""
+    looked_at = list(dict.fromkeys(what for c in found for what in c.explains))
+    heads = ("goes with", *(f"{what}, {when}" for what in looked_at for when in ("before", "after")), "chance, after")
+    rows = []
+    for c in found:
+        shares = [c.explains.get(what) for what in looked_at]
+        cells = [text for s in shares for text in ((f"{s.before:.1%}", f"{s.after:.1%}") if s else ("", ""))]
+        rows.append((c.name.replace("_", " "), *cells, chance(min(s.p_value for s in c.explains.values()))))
+    return heads, rows
 
 
 def remark_row(remark: RemarkEntry) -> tuple[str, str, str]:

@@ -10,9 +10,11 @@ from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem import Progress
+from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import select, supported
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.platform.candidates import platform_candidates
+from calib.diagnose.problems.platform.covariates import covariates
 from calib.diagnose.problems.platform.heldout import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
@@ -46,6 +48,7 @@ class PlatformDiagnosis:
     moved : [Move] of the faces of a free body's rig that are not where it is stated, measured before all else and taken as measured
     selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
     left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
+    covariates : [Covariate] that what is left goes with, the one that explained most before first
     given : what was said beforehand; said : the operator's words, as options"""
 
     recording: str
@@ -59,6 +62,7 @@ class PlatformDiagnosis:
     remarks: Remarks
     not_asked: list[NotAsked]
     noise: Noise
+    covariates: list[Covariate]
     origin: Origin = Origin()
     given: Given = Given()
     said: tuple[str, ...] = ()
@@ -110,7 +114,8 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
     return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
-                             not_asked, _noise(refined.model), recording.origin, given)
+                             not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
+                             given)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:

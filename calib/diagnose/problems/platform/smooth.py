@@ -27,19 +27,19 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
     for name, values, times in ((n, v, k.sensors.t) for n, v in k.sensors.channels.items()) if k.sensors is not None else ():
         series = np.interp(k.t, times, values)
         if np.ptp(series) > 0:
-            bases.append((name, _alike(_powers(series, 2), ones)))
+            bases.append((name, _alike(powers(series, 2), ones)))
     motion = k.motion(())
-    lengths, direction = motion.lengths, _direction(motion.path)
+    lengths, way_last = motion.lengths, direction(motion.path)
     for j in range(k.axes):
-        bases.append((f"strut {j + 1}'s position", _alike(_powers(lengths[:, j], 4), ones)))
+        bases.append((f"strut {j + 1}'s position", _alike(powers(lengths[:, j], 4), ones)))
     scaled = np.stack([_unit(column) for column in lengths.T], axis=1)
-    bases.append(("history", np.stack([direction, direction * scaled], axis=2)))
+    bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
-        bases.append(("way travelled", np.stack([_powers(column, 2) for column in way.T], axis=1)))
-    speed = _speed(k)
-    speeds = np.stack([speed, speed * np.abs(speed) / max(np.abs(speed).max(), 1e-300)], axis=2)
-    if speed.any():
+        bases.append(("way travelled", np.stack([powers(column, 2) for column in way.T], axis=1)))
+    pace = speed(k)
+    speeds = np.stack([pace, pace * np.abs(pace) / max(np.abs(pace).max(), 1e-300)], axis=2)
+    if pace.any():
         bases.append(("speed", speeds))
     out = []
     for depends, functions in bases:  # (F, axes, q), each strut's own
@@ -49,7 +49,7 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
             weights[:, i] = functions[:, i]
             strutwise.append((f"strut {i + 1}", weights))
         out.append((depends, strutwise))
-    if speed.any():
+    if pace.any():
         out.append(("speed", [("rig", speeds)]))
     return out
 
@@ -162,7 +162,8 @@ def _unit(x: np.ndarray) -> np.ndarray:
     return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
 
 
-def _powers(x: np.ndarray, most: int) -> np.ndarray:
+def powers(x: np.ndarray, most: int) -> np.ndarray:
+    """(F, most) powers of a covariate (F,), from the first on, scaled to within -1 .. 1."""
     return np.stack([_unit(x) ** n for n in range(1, most + 1)], axis=1)
 
 
@@ -180,7 +181,7 @@ def cosines(t: np.ndarray, count: int) -> np.ndarray:
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
 
 
-def _direction(path: Path) -> np.ndarray:
+def direction(path: Path) -> np.ndarray:
     """(F, axes) -1 or 1: which way each strut last moved before the exposure, 0 where it never did."""
     step = np.sign(np.diff(path.lengths, axis=0, prepend=path.lengths[:1]))
     for j in range(1, len(step)):
@@ -188,7 +189,7 @@ def _direction(path: Path) -> np.ndarray:
     return step[path.at]
 
 
-def _speed(k: OperatingPoint) -> np.ndarray:
+def speed(k: OperatingPoint) -> np.ndarray:
     """(F, axes) m/s of the struts at the exposures."""
     path = k.commanded
     ends = [np.stack([np.interp(k.t + s * ABOUT, path.t, column) for column in path.values.T], axis=1) for s in (1, -1)]

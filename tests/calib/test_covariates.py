@@ -1,0 +1,37 @@
+"""Covariates are ranked by what they explain of the remainder: the one that an effect follows leads before, and nothing is left to it after."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.platform import report
+from calib.diagnose.report.words import covariate_table
+from rig.effects.motion import Path
+from rig.recording import Sensors
+from tests.calib.recorded import recorded
+
+
+@pytest.fixture(scope="module")
+def rec(tmp_path_factory, design):
+    found = recorded(tmp_path_factory.mktemp("rec"), design, ["settling_error:strut3:fraction=2e-3"], route="sobol:60")
+    rng = np.random.default_rng(3)
+    odd = {"humidity_percent": 40 + rng.normal(size=len(found.sensors.t)).cumsum() * 0.1, "doors": np.zeros(len(found.sensors.t))}
+    return replace(found, sensors=Sensors(found.sensors.t, {**found.sensors.channels, **odd}))
+
+
+def test_what_an_effect_follows_leads_and_is_gone_after(rec):
+    told = report(diagnose(rec, ["settling_error"]))
+    names = [c.name for c in told.covariates]
+    assert names[0] == "step" and {"time", "order", "direction", "dwell", "way travelled", "humidity_percent"} <= set(names) and "doors" not in names
+    by = {c.name: c.explains for c in told.covariates}
+    assert by["step"]["struts"].before > 0.1 > 0.05 > by["step"]["struts"].after
+    assert by["humidity_percent"]["struts"].p_value > 1e-3 and by["humidity_percent"]["images"].after < 0.01
+    heads, rows = covariate_table(told.covariates)
+    assert heads[0] == "goes with" and len(heads) == len(rows[0]) == 6 and rows[0][0] == "step"
+
+
+def test_a_dwell_counts_from_the_last_move():
+    t, lengths = np.array([0.0, 1.0, 2.0, 5.0, 6.0]), np.array([[1.0], [1.0], [2.0], [2.0], [3.0]])
+    assert Path(t, lengths, np.array([1, 2, 3, 4])).dwell.tolist() == [1.0, 0.0, 3.0, 0.0]
