@@ -48,6 +48,9 @@ def test_the_catalogue_is_whole():
         assert kind.stage in ("command", "struts", "structure", "targets", "view") and kind.places and kind.parameters and kind.experiment
         for parameter in kind.parameters:
             assert parameter.bounds[0] <= parameter.usual[0] <= parameter.usual[1] <= parameter.bounds[1]
+            if parameter.role not in ("choice", "moment", "direction"):  # a bound at what nature prefers (gain 1) would cut half of its estimates
+                least = -parameter.usual[1] if parameter.signed else parameter.usual[0]
+                assert parameter.bounds[0] <= least - 0.5 * abs(least) and 1.5 * parameter.usual[1] <= parameter.bounds[1]
 
 
 @pytest.mark.parametrize("kind, place", EVERYWHERE, ids=[f"{kind.name} at {place}" for kind, place in EVERYWHERE])
