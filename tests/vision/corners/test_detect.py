@@ -95,7 +95,7 @@ def test_what_covers_a_marker_does_not_pull_it(design):
 def test_what_is_left_of_a_covered_marker_is_as_good_as_it_says(design):
     """A rod in front of a corner or a side, out of its blur nothing may count: pixels there fit well enough, and are wrong."""
     rng, markers, chi2, off = np.random.default_rng(14), sheet(design), [], []
-    for k in range(40):
+    for k in range(24):
         corners = quad(rng, side=rng.uniform(30, 60), tilt=rng.uniform(0, 0.8))
         rod = np.zeros((SIZE, SIZE), np.float32)
         at = corners[rng.integers(4)] + rng.uniform(-3, 3, 2)
@@ -103,13 +103,13 @@ def test_what_is_left_of_a_covered_marker_is_as_good_as_it_says(design):
         ends = [tuple((16 * (at + s * along)).astype(int).tolist()) for s in (-1, 1)]
         cv2.line(rod, *ends, 1.0, int(rng.integers(3, 9)), cv2.LINE_AA, 4)
         rod = cv2.GaussianBlur(rod, (0, 0), 0.7)
-        image = picture(corners, NAME, k % 30) * (1 - rod) + rng.choice([30.0, 90.0, 140.0, 200.0]) * rod
-        found = place((image + rng.normal(0, 1, image.shape)).astype(np.float32), camera(), markers, Read([k % 30], corners[None]))
+        image = picture(corners, NAME, k, samples=6) * (1 - rod) + rng.choice([30.0, 90.0, 140.0, 200.0]) * rod
+        found = place((image + rng.normal(0, 1, image.shape)).astype(np.float32), camera(), markers, Read([k], corners[None]))
         for measured, covariance in zip(found.corners, found.covariance):
             e = (measured - corners).ravel()
             chi2.append(e @ np.linalg.solve(covariance, e))
             off.append(np.abs(e).max())
-    assert len(chi2) > 30 and np.mean(chi2) < 11 and np.quantile(off, 0.9) < 0.06
+    assert len(chi2) > 18 and np.mean(chi2) < 11 and np.quantile(off, 0.9) < 0.06
 
 
 @pytest.mark.parametrize("spoil, says", [
