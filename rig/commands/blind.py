@@ -205,7 +205,7 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     record.unlink(missing_ok=True)
     start = time.monotonic()
     command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out",
-               target, "--force"]
+               target, "--force", "--anyway"]  # what a case hides may be what a check refuses
     done = finished(command, _environment())
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
