@@ -34,7 +34,8 @@ def test_the_law_is_asked_of_every_effect():
 def test_what_is_simulated_is_named(name, tmp_path, capsys):
     (tmp_path / "rig.toml").write_text(layout(0.3))
     for argv in (["simulate", tmp_path / "rig.toml", "--plan", "standard", "--effect", f"{name}:{EFFECTS[name]}", "--seed", 5, "--noise", 0.03,
-                  "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json"], ["diagnose", tmp_path / "rec", "--out", tmp_path / "found", "--anyway"]):
+                  "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json"],
+                 ["diagnose", tmp_path / "rec", "--out", tmp_path / "found", "--anyway"]):
         assert cli.main([str(word) for word in argv]) == 0, capsys.readouterr().err
     true = json.loads((tmp_path / "truth.json").read_text())["effects"][0]
     found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
