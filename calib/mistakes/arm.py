@@ -22,6 +22,7 @@ from rig.recording import Recording
 MOST = 120  # poses looked at
 LEAST = 10
 AWAY = (0.015, 0.02)  # m, rad, RMS beyond which no calibration is left to do but a mistake to find
+OTHER = 3  # times what a zero may be off by, from where on it is another zero, which is a mistake
 INSTRUMENT = (1e-4, 3e-4)  # m, rad; any will do
 BETTER = 0.35
 REACH = 1.0  # m; a radian counts like so much
@@ -64,6 +65,9 @@ class Reached:
         try:
             found = place.placed(seen, self.arm, free.base == "free", free.tool == "free")
         except RigError:
+            return False
+        moved = np.abs(found.rows[1:, 0] - self.arm.rows[1:, 0])  # the first joint's zero is the base's
+        if moved.max() > OTHER * place.ZERO:
             return False
         r = seen.residuals(found)
         return bool(np.median(np.linalg.norm(r[:, :3], axis=1)) < AWAY[0] and np.median(np.linalg.norm(r[:, 3:], axis=1)) < AWAY[1])
