@@ -49,6 +49,15 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
+    from threadpoolctl import threadpool_limits
+
+    import calib.pipeline  # noqa: F401  libraries are limited once they are loaded
+
+    with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the file is the same for any number
+        _calibrate(arguments)
+
+
+def _calibrate(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look = checking.begin(arguments)
