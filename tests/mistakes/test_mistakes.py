@@ -99,6 +99,15 @@ def test_a_wrong_dictionary_is_named_before_anything_is_measured(command, good, 
     assert status == 1 and "wrong dictionary: the markers of P2 are of DICT_5X5" in text.splitlines()[0] and not (tmp_path / "out").exists()
 
 
+def test_exchanged_faces_are_said_first_and_the_diagnosis_goes_on(good, tmp_path):
+    """It sets markers right by where they are seen, and names the swap."""
+    folder = tmp_path / "rec"
+    shutil.copytree(good("corners"), folder)
+    next(case for case in CASES if case.name == "faces +x and -x exchanged").spoil(folder)
+    status, text = said("diagnose", folder, "--out", tmp_path / "out", "--only", "backlash", "--only", "marker_swap")
+    assert status == 0 and "are exchanged" in text.splitlines()[0] and re.search("^marker_swap at marker", text, re.MULTILINE)
+
+
 def test_one_struts_zero_is_no_unit_of_all(design):
     """Taken for inches from home, the other five alone would be so as well."""
     middle, span = design.mechanism.strut_range.mean(axis=1), np.ptp(design.mechanism.strut_range, axis=1)

@@ -69,7 +69,7 @@ def _seen(first: Trial, longest: float) -> tuple[list[Mistake], Trial]:
             what, do, other = min((one for one in rivals if one[2].misfit < ALIKE * least), key=lambda one: _elsewhere(one[2]))
             if other.misfit < 0.7 * best.misfit:
                 return [Mistake(f"{what}: corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {other.misfit:.3g} px so"
-                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, True,
+                                + (" (20 px: not at all)" if first.misfit == LOST else ""), do, not targets.set_right(first.seen, other.seen),
                                 LIKELY * (1 - other.misfit / first.misfit))], other
     if sized:
         return sized, best
