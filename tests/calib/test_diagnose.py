@@ -147,6 +147,7 @@ def test_geometry_known_from_elsewhere_shows_what_would_hide_in_it(tmp_path, des
     assert tree["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(8e6, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_strong_profile_is_one_finding_however_fine(tmp_path, design):
     rec = recorded(tmp_path, design, ["transmission_error:strut1:profile=-1e-5/-4e-5/2e-5/6e-5/3e-5/-6e-5"])
     found = diagnose(rec, only=["transmission_error", "cyclic_error", "scale_error"])

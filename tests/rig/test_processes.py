@@ -13,9 +13,10 @@ from rig.processes import cores, finished, pool_of
 from tests.conftest import ROOT
 
 POOL = """
-import multiprocessing, os, sys, time
+import multiprocessing, os, signal, sys, time
 from rig.processes import gathered, pool_of
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background job is begun deaf to
     with pool_of(2, sys.argv[1]) as pool:
         busy = [pool.submit(time.sleep, 60) for _ in range(2)]
         print(*(child.pid for child in multiprocessing.active_children()), flush=True)

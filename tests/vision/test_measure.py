@@ -21,6 +21,7 @@ def joint_chi2(m, errors):
     return e @ e - (e @ C) @ np.linalg.solve(np.eye(C.shape[1]) + C.T @ C, C.T @ e)
 
 
+@pytest.mark.slow  # by default with cameras adjusted, which takes in all of it
 def test_covariance_is_true_with_cameras_known(design):
     observations, stated, true, T = scene(design, 21, frames=1500)
     m = measure(observations, known(stated, true), marker_map(design), free=())

@@ -239,7 +239,7 @@ def test_blurred_dark_and_striped_markers_are_right_or_left_out_with_a_reason(de
         assert found.left_out and found.left_out[0][0] == 6
 
 
-@pytest.mark.parametrize("gain", [1.35, 1.6, 2.5])
+@pytest.mark.parametrize("gain", [pytest.param(1.35, marks=pytest.mark.slow), 1.6, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_over_exposed_markers_are_right_within_their_covariance(design, gain):
     """White is cut off at 255: what is left of the edges says where they are, and how well."""
     rng, chi2 = np.random.default_rng(11), []
@@ -291,6 +291,7 @@ def test_a_marker_on_a_screen_is_right_or_left_out_with_a_reason(design, pitch):
         assert not found.left_out or found.left_out[0][0] == 6
 
 
+@pytest.mark.slow
 def test_wide_edges_of_small_cells_see_beyond_the_next_cell(design):
     """A cell of 3.6 px under a blur of 1.5 px: without the cells beyond the next ones corners would be off by 0.01 px and more."""
     rng, markers, errors = np.random.default_rng(15), sheet(design), []
