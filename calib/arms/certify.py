@@ -11,8 +11,8 @@ from calib.arms.observations import Observations, of_samples
 from calib.arms.place import placed
 from calib.arms.profile import Profile
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import GAIN, Progress
-from calib.certify.held_out import HeldOut, compare, correlation, errors_of
+from calib.certify.certificate import Progress, silent
+from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, too_few
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.samples import Samples
@@ -50,7 +50,7 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
     Raises NotEnoughData, RigError as `calibrate`
     """
-    said = progress or (lambda label, done, of: None)
+    said = progress or silent
     label = labels(samples.commanded, ranges(nominal))
     parts = _parts(label)
     said("fitting the geometry", 0, 1)
@@ -62,15 +62,14 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
         return Certified(correction, found, label, None, None, None)
     plain, full = [_held_out(samples, nominal, instrument, (parts, start), profiles, said) for profiles in (False, True)]
     scale = _spread(plain[1])
-    gain = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
-    gain = gain[0] - gain[1]
-    pays = bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
+    loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
+    profiled = pays(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
-    scattered = _held_out(samples, nominal, instrument, (rows, start), pays, said)
-    if pays:
+    scattered = _held_out(samples, nominal, instrument, (rows, start), profiled, said)
+    if profiled:
         correction, found = calibrate(samples, nominal, instrument, True, start)
     covariance = samples.total_covariance()
-    held = [compare(*errors, covariance, rng, label) for errors in (full if pays else plain, scattered, plain)]
+    held = [compare(*errors, covariance, rng, label) for errors in (full if profiled else plain, scattered, plain)]
     return Certified(correction, found, label, *held)
 
 

@@ -124,8 +124,8 @@ def _placed_about(X: np.ndarray, F: np.ndarray, f: np.ndarray, p: np.ndarray, M:
     t = X @ solution[-3:] if base else arm.base.translation
     Z = arm.tool.rotation.as_matrix()
     if tool and M is not None:
-        Z = _nearest(np.einsum("mji,kj,mkl->il", F, X, M))
-    return replace(arm, base=_transform(X, t), tool=_transform(Z, z))
+        Z = nearest(np.einsum("mji,kj,mkl->il", F, X, M))
+    return replace(arm, base=transform(X, t), tool=transform(Z, z))
 
 
 def _apart(X: np.ndarray, cost: np.ndarray) -> list[int]:
@@ -235,14 +235,15 @@ def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Ar
     A = np.concatenate([-2 * p, np.ones((len(p), 1))], axis=1)
     w = np.linalg.lstsq(A, lengths**2 - (p**2).sum(axis=1))[0][:3]
     R = arm.base.rotation.as_matrix()
-    return replace(arm, base=_transform(R, -R @ w))
+    return replace(arm, base=transform(R, -R @ w))
 
 
-def _nearest(matrix: np.ndarray) -> np.ndarray:
+def nearest(matrix: np.ndarray) -> np.ndarray:
     """The rotation nearest to a matrix (3, 3)."""
     U, _, V = np.linalg.svd(matrix)
     return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
 
 
-def _transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+def transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
+    """RigidTransform of a rotation (3, 3) and a translation (3,) m."""
     return RigidTransform.from_components(t, Rotation.from_matrix(R))

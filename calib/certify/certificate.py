@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim, promise
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
-from calib.certify.held_out import HeldOut, compare, correlation, errors_of
+from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.correct.correction import Correction, calibrate
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified, identify, pose_jacobian
@@ -21,7 +21,6 @@ from rig.mechanisms import hexapod as mechanism
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
 FOLDS = 5
-GAIN = 2.0  # standard errors by which the remainder must pay on held-out poses to be kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +55,12 @@ def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
             progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
-    The remainder is kept only where it pays on the held-out stretches by GAIN standard errors; its size and smoothness, and how good
+    The remainder is kept only where it `pays` on the held-out stretches; its size and smoothness, and how good
     the owner's figures are, are those found on the whole recording. rng : numpy Generator, for the bootstrap
     progress : called with (label, done, of), or None
     """
     label = labels(samples.commanded, ranges(nominal))
-    said = progress or _silent
+    said = progress or silent
     said("fitting the geometry", 0, 1)
     correction, found = calibrate(samples, nominal)
     said("fitting the geometry", 1, 1)
@@ -73,16 +72,15 @@ def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
     if any(correction.remainder):
         _, corrected = _held_out(samples, nominal, label, correction.remainder, found.prior, said)
         precision = np.linalg.inv(samples.total_covariance())
-        gain = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
-        gain = gain[0] - gain[1]
-        if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)):
+        loss = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
+        if pays(loss[0] - loss[1]):
             return Certified(correction, found, label, compare(before, corrected, samples.total_covariance(), rng, label))
         correction, found = calibrate(samples, nominal, "none")
     return Certified(correction, found, label, compare(before, plain, samples.total_covariance(), rng, label))
 
 
-def _silent(label: str, done: int, of: int) -> None:
-    pass
+def silent(label: str, done: int, of: int) -> None:
+    """A Progress that says nothing."""
 
 
 def _held_out(samples: Samples, nominal: Hexapod, label: np.ndarray, remainder: str | tuple[Radial | None, ...], prior: np.ndarray,

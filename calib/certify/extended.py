@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.certify.certificate import FOLDS, GAIN, Certified, Progress
+from calib.certify.certificate import FOLDS, Certified, Progress, silent
 from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, closing, extension_scatter, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
-from calib.certify.held_out import HeldOut, compare, correlation
+from calib.certify.held_out import HeldOut, compare, pays
 from calib.correct.correction import Correction
 from calib.correct.extend import corrected, extend, geometry_of, left, left_by, with_pass
 from calib.correct.interpolate import kinds
@@ -57,10 +57,10 @@ def certify_extended(samples: Samples, nominal: Hexapod, asked: Asked, rng: np.r
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
-    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if it beats doing without by GAIN
-    standard errors. Raises RigError where the way asked for does not take these samples
+    beside it, these; else whole stretches. AUTO takes what leaves least there, weighed by the poses' covariance, if that `pays`
+    against doing without. Raises RigError where the way asked for does not take these samples
     """
-    said = progress or (lambda label, done, of: None)
+    said = progress or silent
     label = labels(samples.commanded, ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = geometry_of(samples, nominal, asked.alone)
@@ -88,7 +88,7 @@ def certify_onto(samples: Samples, correction: Correction, kind: str, rng: np.ra
         return Stand(left_by(some, correction), lambda field: with_pass(correction, field))
 
     labelled = nominal, labels(samples.commanded, ranges(nominal)), replace(found, hexapod=correction.fitted)
-    done, tried = _extended(samples, labelled, stand, kind, rng, progress or (lambda label, done, of: None))
+    done, tried = _extended(samples, labelled, stand, kind, rng, progress or silent)
     return replace(done, found=replace(done.found, residuals=left_by(samples, done.correction).values)), tried
 
 
@@ -184,12 +184,11 @@ def _scaled(field: Weighted, outcome: _Outcome, held: HeldOut, nominal: Hexapod)
 
 
 def _best(outcome: _Outcome) -> str:
-    """The way that leaves least, if it beats doing without by GAIN standard errors of the difference."""
+    """The way that leaves least, if it `pays` against doing without."""
     precision = np.linalg.inv(outcome.samples.total_covariance())
     loss = {name: np.einsum("ni,nij,nj->n", errors, precision, errors) for name, errors in outcome.after.items()}
     best = min(loss, key=lambda name: loss[name].mean())
-    gain = loss[NONE] - loss[best]
-    return best if gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)) else NONE
+    return best if pays(loss[NONE] - loss[best]) else NONE
 
 
 def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:

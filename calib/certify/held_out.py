@@ -12,6 +12,7 @@ from rig import mechanisms
 from rig.pose import difference
 
 DRAWS = 1000  # of the bootstrap
+GAIN = 2.0  # standard errors by which a correction must pay on held-out poses to be kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,11 @@ def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.nd
     for one in errors:
         one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
     return errors
+
+
+def pays(gain: np.ndarray) -> bool:
+    """Whether what each held-out pose gains (n,), in order of time, is beyond chance by GAIN standard errors, neighbours taken for alike."""
+    return bool(gain.mean() > GAIN * gain.std() / np.sqrt(len(gain) / correlation(gain)))
 
 
 def correlation(series: np.ndarray) -> float:

@@ -1,13 +1,12 @@
 """What a diagnosis found, taken into a calibration: refined with geometry and cameras on the calibration's own recording."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.certify.certificate import Certified
+from calib.certify.certificate import Certified, Progress, silent
 from calib.correct.physics import Physics, Unknown
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.marker_identity import exchanged
@@ -28,9 +27,6 @@ from rig.errors import FileError, RigError
 from rig.files.made import load as manifest
 from rig.provenance import marks, shared
 from rig.recording import Recording
-
-Progress = Callable[[str, int, int], None]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:
@@ -130,7 +126,7 @@ def take(recording: Recording, sampled: Sampled, findings: Findings, progress: P
     """
     if not isinstance(recording.design.mechanism, Hexapod):
         raise RigError(f"physics is taken into the calibration of a hexapod, not of a mechanism of kind {recording.design.mechanism.kind!r}")
-    said = progress or (lambda label, done, of: None)
+    said = progress or silent
     said("refining physics and geometry together", 0, 1)
     point, _, _ = of_recording(recording, progress, sampled=sampled)
     point = within_reach(exchanged(point, [e for e in findings.effects if isinstance(e, MarkerSwap)]))

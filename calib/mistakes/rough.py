@@ -6,8 +6,9 @@ Source: the null vector of M Z' = X F over all poses, Shah, J. Mechanisms Roboti
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
+from calib.arms.place import nearest, transform
 from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 
@@ -31,10 +32,10 @@ def placed(q: np.ndarray, T: RigidTransform, alone: bool, arm: Arm, base: bool, 
                           axis=2).reshape(-1, 18)
     null = np.linalg.eigh(rows.T @ rows)[1][:, 0]
     null = null * np.sign(np.linalg.det(null[9:].reshape(3, 3)))
-    Z, X = _nearest(null[:9].reshape(3, 3).T), _nearest(null[9:].reshape(3, 3))
+    Z, X = nearest(null[:9].reshape(3, 3).T), nearest(null[9:].reshape(3, 3))
     A = np.concatenate([X @ F, np.tile(one, (len(M), 1, 1))], axis=2).reshape(-1, 6)
     t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
-    return replace(arm, tool=_transform(Z, t[:3]), base=_transform(X, t[3:]))
+    return replace(arm, tool=transform(Z, t[:3]), base=transform(X, t[3:]))
 
 
 def _from_positions(p: np.ndarray, links: RigidTransform, arm: Arm, base: bool, tool: bool) -> Arm:
@@ -44,23 +45,13 @@ def _from_positions(p: np.ndarray, links: RigidTransform, arm: Arm, base: bool, 
         before = z
         if base:
             reached = F @ z + f
-            X = _nearest((p - p.mean(axis=0)).T @ (reached - reached.mean(axis=0)))
+            X = nearest((p - p.mean(axis=0)).T @ (reached - reached.mean(axis=0)))
             t = p.mean(axis=0) - X @ reached.mean(axis=0)
         if tool:
             z = np.linalg.lstsq((X @ F).reshape(-1, 3), (p - t - f @ X.T).ravel())[0]
         if np.abs(z - before).max() < STILL:
             break
-    return replace(arm, base=_transform(X, t), tool=_transform(arm.tool.rotation.as_matrix(), z))
-
-
-def _nearest(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix (3, 3)."""
-    U, _, V = np.linalg.svd(matrix)
-    return U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
-
-
-def _transform(R: np.ndarray, t: np.ndarray) -> RigidTransform:
-    return RigidTransform.from_components(t, Rotation.from_matrix(R))
+    return replace(arm, base=transform(X, t), tool=transform(arm.tool.rotation.as_matrix(), z))
 
 
 def _middle(T: RigidTransform) -> RigidTransform:

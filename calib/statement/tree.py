@@ -5,12 +5,11 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
-
 from calib.certify.held_out import Figures
-from calib.certify.promise import Bound, Promise
+from calib.certify.promise import Promise
 from calib.statement import words
 from calib.statement.certificate import Certificate
+from calib.store import nulls
 
 SCHEMA = "certificate/1"
 
@@ -34,7 +33,7 @@ def tree(c: Certificate) -> dict[str, Any]:
         "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
         "conformity": [asdict(k) for k in c.conformity], "budget": {"k": 2, **asdict(c.budget)}, "conditions": asdict(c.conditions),
         **c.provenance}
-    return _plain(out)
+    return {name: nulls(value) for name, value in out.items()}
 
 
 def text(c: Certificate) -> str:
@@ -44,22 +43,10 @@ def text(c: Certificate) -> str:
 
 def _promise(p: Promise) -> dict[str, Any]:
     return {"position_m": p.position.upper, "rotation_rad": p.turned, "coverage": p.coverage,
-            "confidence": p.confidence, "n": p.n, "position": _bound(p.position), "rotation": None if p.rotation is None else _bound(p.rotation)}
-
-
-def _bound(b: Bound) -> dict[str, float]:
-    return asdict(b)
+            "confidence": p.confidence, "n": p.n, "position": asdict(p.position),
+            "rotation": None if p.rotation is None else asdict(p.rotation)}
 
 
 def _figures(f: Figures) -> dict[str, Any]:
     names = ("rms", "p95", "max")
     return {"n": f.n, "position_m": dict(zip(names, f.position)), "rotation_rad": dict(zip(names, f.rotation)), "bias": f.bias}
-
-
-def _plain(value: Any) -> Any:
-    """The same as JSON has it: lists, and null for what is no finite number."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

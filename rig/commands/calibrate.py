@@ -13,6 +13,8 @@ from rig.errors import RigError
 from rig.kinds import arm_of, hexapod_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
 
     from calib.arms.certify import Certified as ArmCertified
@@ -79,18 +81,18 @@ def _calibrate(arguments: Namespace) -> None:
         raise RigError("--extend is not for --joint: give one of them")
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
-    elif recording.design.mechanism.kind == "arm":
+    elif nominal.kind == "arm":
         if arguments.joint:
             raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
         calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
         calibration = _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
-    if values is not None and nominal.kind == "hexapod":
+    if values is not None:
         from calib.correct.values import summand_columns, summand_rows
         from rig.writing import write_table
 
-        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, nominal))
+        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, hexapod_of(nominal)))
     _say_promise(arguments.promise, calibration.claim)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
@@ -128,7 +130,6 @@ def _values_name(out: Path) -> str:
 def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
              joint: bool, taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised
-    from calib.certify.verdict import verdict
     from calib.report import calibration_page
 
     samples = sampled.samples if taken is None else taken.samples
@@ -141,11 +142,7 @@ def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None
         done = replace(done, correction=correction, found=found)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
-    if out[1]:
-        progress("drawing the page", 0, 1)
-        calibration_page(out[1], recording, calibration, samples, done.found)
-    progress.close()
-    print("\n".join(verdict(claim)))
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found), claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -160,7 +157,6 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
               progress: Progress) -> Calibration:
     from calib.certify.certificate import promised
     from calib.certify.extended import Asked, certify_extended, certify_onto, promised_alone
-    from calib.certify.verdict import verdict
     from calib.correct.extend import single_step_misses
     from calib.report import calibration_page
 
@@ -174,11 +170,7 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
         done, tried = certify_onto(samples, before.correction, arguments.extend, rng, progress)
     claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim, before=before)
-    if out[1]:
-        progress("drawing the page", 0, 1)
-        calibration_page(out[1], recording, calibration, samples, done.found)
-    progress.close()
-    print("\n".join(verdict(claim)))
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found), claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
     for one in tried:
@@ -227,16 +219,11 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
          progress: Progress) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
-    from calib.certify.verdict import verdict
 
     done = certify(sampled.samples, arm_of(recording.design.mechanism), recording.design.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
-    if out[1]:
-        progress("drawing the page", 0, 1)
-        calibration_page(out[1], recording, calibration, sampled.samples, done)
-    progress.close()
-    print("\n".join(verdict(claim)))
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done), claim, progress)
     if done.held_out and done.geometry and done.scattered:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -248,6 +235,17 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     print("\n".join(done.found.rank.report()))
     _print_poses(sampled, done)
     return calibration
+
+
+def _shown(page: Path | None, draw: Callable[[Path], None], claim: Claim, progress: Progress) -> None:
+    """Draw the page, where there is one, and print the verdict, first of all."""
+    from calib.certify.verdict import verdict
+
+    if page:
+        progress("drawing the page", 0, 1)
+        draw(page)
+    progress.close()
+    print("\n".join(verdict(claim)))
 
 
 def _print_poses(sampled: Sampled, done: Certified | ArmCertified) -> None:

@@ -130,9 +130,10 @@ def test_a_fence_takes_no_older_ok_and_notices_a_new_start():
     assert talk([(b"$G\n", asked.replace(b"F150", b"F0"))], lambda p: p.fence()) is False
 
 
-def test_stop_holds_first_and_then_resets():
-    hold = IDLE.replace(b"Idle", b"Hold:1")
-    script = [(b"!", b""), (b"?", hold), (b"?", hold.replace(b"Hold:1", b"Hold:0")), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
+@pytest.mark.parametrize(("slowing", "held"), [(b"Hold:1", b"Hold:0"), (b"Door:2", b"Door:1")])
+def test_stop_lets_a_hold_end_before_it_resets(slowing, held):
+    states = [IDLE.replace(b"Idle", word) for word in (slowing, held)]
+    script = [(b"!", b""), *((b"?", state) for state in states), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
               (b"G21G90G94F100\n", b"ok\r\n")]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
@@ -140,13 +141,6 @@ def test_stop_holds_first_and_then_resets():
 def test_stop_resets_what_answers_nothing_because_it_homes():
     banner = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
     script = [(b"!", b""), (b"?", b""), (b"?", b""), (b"\x18", b"ALARM:6\r\n" + banner), (b"G21G90G94F100\n", b"error:9\r\n")]
-    assert talk(script, lambda p: p.stop(), greeted()).accepted
-
-
-def test_stop_lets_a_door_s_hold_end_before_it_resets():
-    door = IDLE.replace(b"Idle", b"Door:2")
-    script = [(b"!", b""), (b"?", door), (b"?", door.replace(b"Door:2", b"Door:1")), (b"\x18", b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"),
-              (b"G21G90G94F100\n", b"ok\r\n")]
     assert talk(script, lambda p: p.stop(), greeted()).accepted
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from calib.correct.interpolate.field import Known, merged
-from calib.correct.interpolate.regressed import Regressed, shares
+from calib.correct.interpolate.regressed import EMPTY, Regressed, likeliest
 
 KNOTS = (2, 3, 5, 9, 17, 33)  # tried
 SAMPLES = 2  # for each knot, at the least
@@ -43,15 +43,9 @@ class Axes(Regressed):
         """The sum of functions with as many knots as is likeliest, through samples anywhere; knots where samples lie equally dense."""
         each = merged(known)
         n, axes = each.configurations.shape
-        found: list[tuple[float, int, Self]] = []
-        for count in KNOTS:
-            if found and SAMPLES * axes * count > n:
-                break
-            knots = np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)])
-            blank = cls(knots, *[np.zeros(0)] * 4)
-            *parts, bic = shares(blank.functions(each.configurations), each)
-            found.append((bic, count, cls(knots, *parts)))
-        return min(found, key=lambda one: one[:2])[2]
+        counts = [count for count in KNOTS if count == KNOTS[0] or SAMPLES * axes * count <= n]
+        return likeliest((cls(np.array([_knots(each.configurations[:, i], count, known.strokes[i]) for i in range(axes)]), *[EMPTY] * 4)
+                          for count in counts), each)
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         out = np.zeros((len(x), *self.knots.shape))

@@ -63,10 +63,16 @@ def merged(known: Known, tolerance: float = 1e-5) -> Known:
     _, first, at = np.unique(scaled, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(scaled):
         return known
-    at = at.ravel()
+    at, where = at.ravel(), np.zeros((len(first), scaled.shape[1]))
+    np.add.at(where, at, known.configurations)
+    return Known(where / np.bincount(at)[:, None], *averaged(known, at), known.strokes)
+
+
+def averaged(known: Known, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(values, variances), (count, outputs) each, of samples that stand for one of 0..count - 1 each: at (n,). Weighted by their variances."""
     weight = 1 / np.maximum(known.variances, 1e-300)
-    total, mean, where = np.zeros((len(first), weight.shape[1])), np.zeros((len(first), weight.shape[1])), np.zeros((len(first), scaled.shape[1]))
+    shape = int(at.max()) + 1, weight.shape[1]
+    total, mean = np.zeros(shape), np.zeros(shape)
     np.add.at(total, at, weight)
     np.add.at(mean, at, weight * known.values)
-    np.add.at(where, at, known.configurations)
-    return Known(where / np.bincount(at)[:, None], mean / total, 1 / total, known.strokes)
+    return mean / total, 1 / total

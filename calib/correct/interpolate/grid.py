@@ -4,12 +4,13 @@ The levels W(0, i) < W(1, i) < .. < W(Q(i), i) of actuator i may leave out the e
 patent, [0031], [0032], [0144], [0145].
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from calib.correct.interpolate.field import Known
+from calib.correct.interpolate.compiled import Tables, tables
+from calib.correct.interpolate.field import Known, averaged
 from calib.correct.interpolate.weighted import Weighted
 from rig.errors import RigError
 
@@ -63,6 +64,7 @@ class Grid(Weighted):
     values: np.ndarray
     variances: np.ndarray
     misfit: np.ndarray
+    tables: Tables = field(init=False, repr=False)  # as kernels take it
 
     def __post_init__(self) -> None:
         for level in self.levels:
@@ -72,6 +74,7 @@ class Grid(Weighted):
         if self.values.shape != self.variances.shape or self.values.shape[0] != vertices or self.misfit.shape != self.values.shape[1:]:
             raise ValueError(f"a grid of {vertices} vertices has values {self.values.shape}, variances {self.variances.shape} and misfit "
                              f"{self.misfit.shape}")
+        object.__setattr__(self, "tables", tables(self))
 
     @classmethod
     def fit(cls, known: Known) -> Self:
@@ -84,13 +87,9 @@ class Grid(Weighted):
             raise RigError(f"the {len(known.configurations)} samples fill no grid of configurations, which {cls.__name__.lower()} takes "
                            "(a plan division:2 visits one); delaunay, axes, radial and polynomial take samples anywhere")
         on = found.vertex >= 0
-        weight = 1 / np.maximum(known.variances[on], 1e-300)
-        shape = (int(np.prod([len(level) for level in found.levels])), weight.shape[1])
-        total, mean = np.zeros(shape), np.zeros(shape)
-        np.add.at(total, found.vertex[on], weight)
-        np.add.at(mean, found.vertex[on], weight * known.values[on])
-        field = cls(found.levels, mean / total, 1 / total, np.zeros(shape[1]))
-        return replace(field, misfit=_misfit(field))
+        values, variances = averaged(known.take(on), found.vertex[on])
+        grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
+        return replace(grid, misfit=_misfit(grid))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -118,16 +117,16 @@ class Grid(Weighted):
         return np.cumprod((1, *self.shape[:0:-1]))[::-1]
 
 
-def _misfit(field: Grid) -> np.ndarray:
+def _misfit(grid: Grid) -> np.ndarray:
     """(outputs,) what a piecewise linear field leaves in the middle of cells, from second differences along each axis.
 
     f'' h^2 / 8 an axis in the middle, a quarter of what a vertex is off the mean of its neighbours. Two levels show no curvature: what their
     vertices leave of a plane stands in for it.
     """
-    shape, noise = field.shape, field.variances.mean(axis=0)
-    cube = field.values.reshape(*shape, -1)
+    shape, noise = grid.shape, grid.variances.mean(axis=0)
+    cube = grid.values.reshape(*shape, -1)
     square = np.zeros(cube.shape[-1])
-    for axis, level in enumerate(field.levels):
+    for axis, level in enumerate(grid.levels):
         if len(level) < 3:
             continue
         part = np.moveaxis(cube, axis, 0)
@@ -137,6 +136,6 @@ def _misfit(field: Grid) -> np.ndarray:
     if min(shape) < 3:
         corners = np.stack(np.meshgrid(*[np.linspace(-1, 1, count) for count in shape], indexing="ij"), axis=-1).reshape(-1, len(shape))
         plane = np.column_stack([np.ones(len(corners)), corners])
-        left = field.values - plane @ np.linalg.lstsq(plane, field.values, rcond=None)[0]
+        left = grid.values - plane @ np.linalg.lstsq(plane, grid.values, rcond=None)[0]
         square += np.maximum((left**2).sum(axis=0) / max(len(left) - plane.shape[1], 1) - noise, 0)
     return np.sqrt(square)

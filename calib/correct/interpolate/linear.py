@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.correct.interpolate.compiled import Tables, linear_kernel, tables
+from calib.correct.interpolate.compiled import linear_kernel
 from calib.correct.interpolate.grid import Grid
 from calib.correct.interpolate.weighted import Weights
 
@@ -16,19 +16,14 @@ from calib.correct.interpolate.weighted import Weights
 class Linear(Grid):
     """A Grid, linear along each axis within its cells."""
 
-    __slots__ = ("_tables",)
+    __slots__ = ()
     kind: ClassVar[str] = "linear"
     exact: ClassVar[bool] = True
-    _tables: Tables
-
-    def __post_init__(self) -> None:
-        Grid.__post_init__(self)
-        object.__setattr__(self, "_tables", tables(self))
 
     def value(self, x: np.ndarray) -> np.ndarray:
         x = np.ascontiguousarray(x, float)
         out = np.empty((x.size // x.shape[-1], self.values.shape[1]))
-        linear_kernel(x.reshape(-1, x.shape[-1]), *self._tables, out)
+        linear_kernel(x.reshape(-1, x.shape[-1]), *self.tables, out)
         return out.reshape(*x.shape[:-1], -1)
 
     def weights(self, x: np.ndarray) -> Weights:

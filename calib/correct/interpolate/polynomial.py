@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from calib.correct.interpolate.field import Known, merged
-from calib.correct.interpolate.regressed import Regressed, shares
+from calib.correct.interpolate.regressed import EMPTY, Regressed, likeliest
 
 MOST = 4  # total degree
 SAMPLES = 2  # for each of the polynomial's terms, at the least
@@ -38,15 +38,8 @@ class Polynomial(Regressed):
         n, axes = each.configurations.shape
         low, high = each.configurations.min(axis=0), each.configurations.max(axis=0)
         high = np.where(high > low, high, low + np.ptp(known.strokes, axis=1))
-        found: list[tuple[float, int, Self]] = []
-        for degree in range(MOST + 1):
-            if degree and SAMPLES * comb(axes + degree, degree) > n:
-                break
-            powers = _powers(axes, degree)
-            blank = cls(low, high, powers, *[np.zeros(0)] * 4)
-            *parts, bic = shares(blank.functions(each.configurations), each)
-            found.append((bic, degree, cls(low, high, powers, *parts)))
-        return min(found, key=lambda one: one[:2])[2]
+        degrees = [degree for degree in range(MOST + 1) if not degree or SAMPLES * comb(axes + degree, degree) <= n]
+        return likeliest((cls(low, high, _powers(axes, degree), *[EMPTY] * 4) for degree in degrees), each)
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         u = self._scaled(x)

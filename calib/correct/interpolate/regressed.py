@@ -1,9 +1,14 @@
 """Fields that are sums of functions, their shares found by least squares: value, gradient and error estimate from the functions."""
 
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 
 from calib.correct.interpolate.field import Known
 
+EMPTY = np.zeros(0)
 RANK = 1e-10  # of the largest singular value; directions below are not told by the samples and left at zero
 
 
@@ -53,7 +58,21 @@ class Regressed:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))
 
 
-def shares(functions: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+R = TypeVar("R", bound=Regressed)
+
+
+def likeliest(blanks: Iterable[R], known: Known) -> R:
+    """The field, of some whose shares are not found yet, the simplest first, that is likeliest once these are fitted to samples."""
+    best, least = None, np.inf
+    for blank in blanks:
+        coefficients, root, noise, misfit, bic = _shares(blank.functions(known.configurations), known)
+        if best is None or bic < least:
+            best, least = replace(blank, coefficients=coefficients, root=root, noise=noise, misfit=misfit), bic  # type: ignore[type-var]
+    assert best is not None
+    return best
+
+
+def _shares(functions: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
     """(coefficients, root, noise, misfit, Bayesian information criterion) of functions (n, f) fitted to the values of n samples."""
     n, count = functions.shape
     U, s, Vt = np.linalg.svd(functions, full_matrices=False)

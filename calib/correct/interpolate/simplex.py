@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.correct.interpolate.compiled import Tables, simplex_kernels, tables
+from calib.correct.interpolate.compiled import simplex_kernels
 from calib.correct.interpolate.grid import Grid
 from calib.correct.interpolate.weighted import Weights
 from rig.mechanisms.lanes import EACH, in_parallel
@@ -18,30 +18,25 @@ from rig.mechanisms.lanes import EACH, in_parallel
 class Simplex(Grid):
     """A Grid whose cells are cut into simplices."""
 
-    __slots__ = ("_tables",)
+    __slots__ = ()
     kind: ClassVar[str] = "simplex"
     exact: ClassVar[bool] = True
-    _tables: Tables
-
-    def __post_init__(self) -> None:
-        Grid.__post_init__(self)
-        object.__setattr__(self, "_tables", tables(self))
 
     def value(self, x: np.ndarray) -> np.ndarray:
         x = np.ascontiguousarray(x, float)
         flat, out = x.reshape(-1, x.shape[-1]), np.empty((x.size // x.shape[-1], self.values.shape[1]))
         kernel = simplex_kernels(x.shape[-1]).values
         if len(flat) < 2 * EACH:
-            kernel(flat, *self._tables, out)
+            kernel(flat, *self.tables, out)
         else:
-            in_parallel(lambda part: kernel(flat[part], *self._tables, out[part]), len(flat))
+            in_parallel(lambda part: kernel(flat[part], *self.tables, out[part]), len(flat))
         return out.reshape(*x.shape[:-1], -1)
 
     def fixed_points(self, goal: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
         """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n, axes)."""
         commands, change = np.empty(goal.shape), np.empty(len(goal))
         kernel = simplex_kernels(goal.shape[1]).fixed_points
-        in_parallel(lambda part: kernel(goal[part], *self._tables, tolerance, commands[part], change[part]), len(goal))
+        in_parallel(lambda part: kernel(goal[part], *self.tables, tolerance, commands[part], change[part]), len(goal))
         return commands, change
 
     def weights(self, x: np.ndarray) -> Weights:
