@@ -20,6 +20,7 @@ from calib.correct.correction import Correction
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified
 from calib.samples import Samples
+from calib.workspace.drawing import section
 from rig import mechanisms
 from rig.design import Hexapod
 from rig.files import write_text
@@ -197,7 +198,8 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              "<h2>What each strut is corrected by</h2><p class=note>Dots: x - IK(GDK(x)) at the visited configurations. Crosses: the correction "
              "at the same configurations.</p>", _corrections(correction, samples),
              "<h2>What the correction leaves</h2>", _left(samples, found), "<h2>Where the platform went</h2>",
-             coverage(vector(samples.T_base_platform)), "<h2>Parameters</h2>", _combinations(calibration, found), _parameters(calibration),
+             coverage(vector(samples.T_base_platform)), *section(calibration.workspace, "m"),
+             "<h2>Parameters</h2>", _combinations(calibration, found), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)
 

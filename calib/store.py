@@ -25,6 +25,7 @@ from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
 from calib.correct.physics_file import physics_in, physics_out
 from calib.correct.interpolate.radial import Radial
+from calib.workspace.file import workspace_in, workspace_out
 from rig import json_file
 from rig.design import Arm, Hexapod
 from rig.entries import LARGEST_RIG, Entries
@@ -103,7 +104,8 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
-        **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}), "provenance": calibration.provenance,
+        **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
+        **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -123,7 +125,8 @@ def load(path: Path | str) -> Calibration:
     return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-                       physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None)
+                       physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None,
+                       workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None)
 
 
 def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm) -> Correction[Any, Any]:

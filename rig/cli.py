@@ -30,6 +30,7 @@ COMMANDS = {
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
     "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
+    "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
     "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",
     "simulate": "A rig that is not there under a plan -> a recording, and its truth apart.",
     "emulate": "A controller that is not there, at a pseudo-terminal or over TCP, with faults to order.",

@@ -19,6 +19,7 @@ from rig.pose import difference
 STARTS = 4  # visited configurations tried as a start before any other
 ITERATIONS = 40
 TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
+NEAR = 0.05  # m and rad; what the owner's model may leave of a pose for its joint solution to be a start
 STEP = 0.3  # rad; longest single correction
 RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is looked for
 
@@ -57,7 +58,7 @@ class ArmCorrection(Correction[Arm, Profile]):
                 break
             start = starts[todo, min(k, starts.shape[1] - 1)]
             q, reached = mechanism.solve(T[todo], self.nominal, start, starts=0 if k < starts.shape[1] else mechanism.STARTS)
-            q, reached = self._compensate(T[todo], np.where((reached < 0.05)[:, None], q, start))
+            q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
             better = (reached <= TOLERANCE) | (reached < left[todo])
             commands[todo[better]], left[todo[better]] = q[better], reached[better]
         failed = np.flatnonzero(left > TOLERANCE)
@@ -65,6 +66,12 @@ class ArmCorrection(Correction[Arm, Profile]):
             raise Unreachable(f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:", failed,
                               [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
         return commands.reshape(*shape, n)
+
+    def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
+        """Commands (n, joints) rad that give poses (n,), sought from the guess (n, joints) alone; NaN where it leads to none."""
+        q, reached = mechanism.solve(T_base_platform, self.nominal, guess, starts=0)
+        commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
+        return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
     def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(commands, left): from joint solutions q (m, n) of the owner's model, by differential error transforms."""

@@ -13,6 +13,7 @@ from calib.certify.held_out import Figures
 from calib.certify.held_out import errors_of
 from calib.report import before_after, coverage, origin, page, table, worth
 from calib.samples import Samples
+from calib.workspace.drawing import section
 from rig.recording import Recording
 
 
@@ -25,6 +26,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
              _profiles(calibration, samples), "<h2>Where the target went</h2>", coverage(np.concatenate(
                  [samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)),
+             *section(calibration.workspace, "rad"),
              "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
     page(path, f"Calibration from {recording.folder.resolve().name}", parts)

@@ -10,6 +10,7 @@ from calib.certify.held_out import HeldOut
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.samples import Samples
+from calib.workspace.cells import Workspace
 from rig.errors import RigError
 from rig.recording import Recording
 
@@ -21,7 +22,8 @@ class Calibration:
     (6,) m and rad of the pose; frames : numbers of the frames fitted; left_out : of those that did not agree
     held_out : HeldOut, or None where too few configurations were recorded to hold any out
     provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one
-    physics : Physics that was found beyond the geometry and is undone with it, or None"""
+    physics : Physics that was found beyond the geometry and is undone with it, or None
+    workspace : Workspace, what the correction does to it, or None in files of before it was worked out"""
 
     correction: Correction[Any, Any]
     covariance: np.ndarray
@@ -32,6 +34,7 @@ class Calibration:
     provenance: dict[str, Any]
     claim: Claim | None = None
     physics: Physics | None = None
+    workspace: Workspace | None = None
 
     def told(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
@@ -19,8 +18,8 @@ from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
 from calib.samples import Samples
 from calib.identify.tolerance import Tolerance, spread
+from calib.workspace.region import closing
 from rig.design import Hexapod
-from rig.errors import NotConverged
 from rig.mechanisms import hexapod as mechanism
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
@@ -162,15 +161,6 @@ def extension_scatter(correction: Correction[Hexapod, Radial], commands: np.ndar
         return np.zeros(2)
     square = np.linalg.inv(jacobian) ** 2 @ (correction.extension.error(commands) ** 2)[..., None]
     return square.mean(axis=0).reshape(2, 3).sum(axis=1)
-
-
-def closing(commands: np.ndarray, correction: Correction[Hexapod, Radial]) -> tuple[np.ndarray, RigidTransform]:
-    """Those of the commands (m, 6) that close on a pose, and these poses."""
-    try:
-        return commands, correction.predict(commands)
-    except NotConverged as error:
-        rest = np.delete(commands, error.index, axis=0)
-        return rest, correction.predict(rest)
 
 
 def _machines(found: Identified, tolerance: Tolerance, nominal: Hexapod, rng: np.random.Generator) -> np.ndarray:

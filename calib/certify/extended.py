@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.certificate import FOLDS, Certified, Progress, silent
-from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, closing, extension_scatter, too_few
+from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, pays
 from calib.correct.correction import Correction
@@ -18,6 +18,7 @@ from calib.correct.interpolate.grid import lattice
 from calib.correct.interpolate.weighted import Weighted
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples
+from calib.workspace.region import closing
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
 from rig.design import Hexapod

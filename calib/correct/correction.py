@@ -87,6 +87,16 @@ class Correction(Generic[M, R]):
         """
         return self.settled(mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted))
 
+    def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
+        """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
+        goal = mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        try:
+            return self.settled(goal)
+        except NotConverged as error:
+            out, rest = np.full(goal.shape, np.nan), np.delete(np.arange(len(goal)), error.index)
+            out[rest] = self.settled(goal[rest])
+            return out
+
     def settled(self, goal: np.ndarray) -> np.ndarray:
         """Commands c (..., axes) m or rad with c = goal + rho(c): those that make the struts as long as the fitted model wants them.
 

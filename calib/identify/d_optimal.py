@@ -24,6 +24,8 @@ PAYS = 1e-4  # relative gain below which an exchange is not made
 LOOKED_AT = 24  # candidates whose noise amplification is worked out exactly, the most promising ones
 CRITERIA = ("determinant", "noise")
 
+Avoided = Callable[[np.ndarray], np.ndarray]  # configurations (n, 6) m -> (n,) bool, those that are not to be visited
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
@@ -37,18 +39,19 @@ class Chosen:
 
 
 def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion: str = "determinant", given: np.ndarray | None = None,
-           seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Chosen:
+           seed: int = 0, progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Chosen:
     """Chosen configurations, `count` of them, beside those given (k, 6) m.
 
     sigmas : (m, rad) standard deviations of a measured pose's position and rotation, per axis; progress : called with (done, of)
-    Raises RigError for an unknown criterion or too few configurations to hold 42 parameters
+    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    Raises RigError for an unknown criterion, too few configurations to hold 42 parameters, or where none may be visited
     """
     if criterion not in CRITERIA:
         raise RigError(f"there is no criterion {criterion!r}; there are {', '.join(CRITERIA)}")
     given = np.zeros((0, 6)) if given is None else np.asarray(given, float)
     if count + len(given) < 7:
         raise RigError(f"{count + len(given)} configurations cannot determine 42 parameters; it takes 7, better 30")
-    candidates, G = _candidates(hexapod, sigmas, seed)
+    candidates, G = _candidates(hexapod, sigmas, seed, avoided)
     known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
     M0 = known.T @ known
     picked: list[int] = []
@@ -91,12 +94,19 @@ def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, flo
         return commands, pose_jacobian(T, hexapod) * weights * PLAUSIBLE
 
 
-def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(hexapod: Hexapod, sigmas: tuple[float, float], seed: int, avoided: Avoided | None) -> tuple[np.ndarray, np.ndarray]:
     """Low-discrepancy configurations and the strokes' outermost ones, with their rows."""
     spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
-    commands = np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)])
-    commands, G = information(commands, hexapod, sigmas)
-    return commands, G
+    return information(allowed(np.concatenate([spread, plan.simplices(hexapod.strut_range, 1, FILL)]), avoided), hexapod, sigmas)
+
+
+def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
+    """Those of the commands (n, 6) m that may be visited. Raises RigError where none may."""
+    kept = commands if avoided is None else commands[~avoided(commands)]
+    if not len(kept):
+        raise RigError(f"none of {len(commands)} configurations all over the strokes may be visited: the calibration leaves no pose of the owner's "
+                       "model in reach")
+    return kept
 
 
 def _sum(G: np.ndarray, picked: list[int]) -> np.ndarray:

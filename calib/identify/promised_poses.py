@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.identify.d_optimal import FILL, information
+from calib.identify.d_optimal import FILL, Avoided, allowed, information
 from calib.identify.geometry import pose_jacobian
 from calib.identify.observability import PLAUSIBLE
 from rig import plan
@@ -34,13 +34,15 @@ class Promised:
 
 
 def fewest(hexapod: Hexapod, promise: float, sigmas: tuple[float, float], given: np.ndarray | None = None, seed: int = 0,
-           progress: Callable[[int, int], None] | None = None) -> Promised:
+           progress: Callable[[int, int], None] | None = None, avoided: Avoided | None = None) -> Promised:
     """Promised configurations beside those given (k, 6) m: the fewest found that keep a promise (m).
 
     sigmas : (m, rad) standard deviations of a measured pose, per axis, each pose's own; progress : called with (done, of)
-    Raises RigError where MOST poses do not keep it
+    avoided : which of configurations (n, 6) m are not to be visited, (n,) bool, or None where all may be
+    Raises RigError where MOST poses do not keep it, or where none may be visited
     """
-    candidates, G = information(plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed), hexapod, sigmas)
+    spread = plan.low_discrepancy(hexapod.strut_range, CANDIDATES, FILL, seed)
+    candidates, G = information(allowed(spread, avoided), hexapod, sigmas)
     places, _ = information(plan.low_discrepancy(hexapod.strut_range, PLACES, WORKSPACE, seed + 1), hexapod, sigmas)
     J = pose_jacobian(mechanism.forward(places, hexapod), hexapod)[:, :3].reshape(-1, 42) * PLAUSIBLE
     A = J.T @ J / len(places)

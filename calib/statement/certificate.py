@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arms import certify as arms
 from calib.certify import conformity, tolerance_limits
 from calib.certify.budget import Budget, budget, thermometer
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import model_covariance
 from calib.certify.conformity import Conformity
 from calib.certify.held_out import Figures, errors_of, figures
 from calib.certify.held_poses import HeldPoses, held_poses
@@ -18,8 +16,8 @@ from calib.certify.promise import Bound, Cell, Promise, cells, promised
 from calib.certify.repeats import Iso9283, Repeatability, iso9283, repeatability
 from calib.certify.reversal import AxisTest, iso230
 from calib.pipeline import Sampled
+from calib.pose_covariance import pose_covariance
 from calib.statement.conditions import Conditions, Volume, conditions, volume
-from rig.design import Arm
 from rig.errors import NotEnoughData
 from rig.recording import Recording
 
@@ -94,9 +92,7 @@ def together(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]
 def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
     """(n, 6, 6) of the parameters alone: what axes and poses scatter shows in the poses themselves."""
     geometry = Calibration(calibration.correction, calibration.covariance, np.zeros_like(calibration.scatter), (), (), None, {})
-    if isinstance(calibration.correction.nominal, Arm):
-        return arms.model_covariance(geometry, poses.commanded)
-    return model_covariance(geometry, poses.T_base_platform)
+    return pose_covariance(geometry, poses.T_base_platform, poses.commanded)
 
 
 def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[Conformity, ...]:

@@ -7,13 +7,14 @@ from calib.certify.repeats import FEWEST
 from calib.report import flat, page, table
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
+from calib.svg import STYLE
 
 NOT_KNOWN = "not known"
 
 
 def certificate_page(path: Path, c: Certificate) -> None:
     """Write the page of a certificate: one file, offline."""
-    page(path, f"Certificate of {c.machine} {c.provenance['id']}", [f"<style>{svg.STYLE}</style>", *_promise(c), *_judged(c), *_cells(c), *_floor(c),
+    page(path, f"Certificate of {c.machine} {c.provenance['id']}", [f"<style>{STYLE}</style>", *_promise(c), *_judged(c), *_cells(c), *_floor(c),
                                                                   *_standards(c), *_budget(c), *_conditions(c), *_origin(c)])
 
 

@@ -1,28 +1,10 @@
-"""Figures of a certificate as SVG drawn into the page: readable on a phone, in the page's own colours by day and by night."""
-
-import html
-from collections.abc import Sequence
+"""Figures of a certificate, as SVG drawn into its page."""
 
 import numpy as np
 
 from calib.statement.certificate import Certificate
 from calib.statement.words import um
-
-WIDTH = 400
-STYLE = """svg.figure{width:100%;max-width:640px;display:block;font:12px system-ui,sans-serif;fill:currentColor}
-svg.figure .axis{stroke:currentColor;stroke-opacity:.5;fill:none}svg.figure .line{stroke:#2a78c2;stroke-width:2;fill:none}
-svg.figure .before{stroke:#c2722a}svg.figure .mark{stroke:#c22a4e;stroke-dasharray:5 3;fill:none}svg.figure .bar{fill:#2a78c2}
-svg.figure .measuring{fill:#8a8a8a}svg.figure .cell{fill:#2a78c2;stroke:currentColor;stroke-opacity:.5}
-@media(prefers-color-scheme:dark){svg.figure .line{stroke:#6db3f2}svg.figure .bar,svg.figure .cell{fill:#3d8fd9}svg.figure .mark{stroke:#ff6b8b}}"""
-
-
-def _svg(height: int, title: str, parts: Sequence[str]) -> str:
-    return (f'<svg class="figure" role="img" viewBox="0 0 {WIDTH} {height}" aria-label="{html.escape(title)}"><title>{html.escape(title)}</title>'
-            + "".join(parts) + "</svg>")
-
-
-def _text(x: float, y: float, words: str, anchor: str = "start") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{html.escape(words)}</text>'
+from calib.svg import svg, text
 
 
 def _ticks(top: float) -> list[float]:
@@ -49,14 +31,14 @@ def distribution(c: Certificate) -> str:
 
     steps = " ".join(f"{x(v):.1f},{y(k / len(lengths)):.1f} {x(v):.1f},{y((k + 1) / len(lengths)):.1f}" for k, v in enumerate(lengths))
     parts = [f'<path class="axis" d="M{left},{high}V{bottom}H{right}"/>', f'<polyline class="line" points="{x(0):.1f},{y(0):.1f} {steps}"/>']
-    parts += [_text(left - 6, y(p) + 4, f"{p:.0%}", "end") for p in (0.0, 0.5, 1.0)]
-    parts += [_text(x(v), bottom + 16, f"{v:g}", "middle") for v in _ticks(top)]
+    parts += [text(left - 6, y(p) + 4, f"{p:.0%}", "end") for p in (0.0, 0.5, 1.0)]
+    parts += [text(x(v), bottom + 16, f"{v:g}", "middle") for v in _ticks(top)]
     for row, (name, value) in enumerate(lines):
         aside, anchor = (-5, "end") if value > top / 2 else (5, "start")
         parts += [f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
-                  _text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor)]
-    parts.append(_text((left + right) / 2, bottom + 34, "position error as measured, um", "middle"))
-    return _svg(int(bottom) + 40, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts)
+                  text(x(value) + aside, 14 + 16 * row, f"{name} {value:.1f}", anchor)]
+    parts.append(text((left + right) / 2, bottom + 34, "position error as measured, um", "middle"))
+    return svg(int(bottom) + 40, f"{len(lengths)} poses: share nearer than a length; promise {upper:.1f} um", parts)
 
 
 def cells(c: Certificate) -> str:
@@ -74,11 +56,11 @@ def cells(c: Certificate) -> str:
         for (x0, y0, x1, y1), bound in boxes.items():
             at, up, wide, tall = left + scale * (x0 - low[0]), base - scale * (y1 - low[1]), scale * (x1 - x0), scale * (y1 - y0)
             parts += [f'<rect class="cell" fill-opacity="{0.1 + 0.5 * bound / worst / len(boxes) ** 0.3:.2f}" x="{at:.1f}" y="{up:.1f}" '
-                      f'width="{wide:.1f}" height="{tall:.1f}"/>', _text(at + wide / 2, up + tall / 2 + 4, f"{bound * 1e6:.1f}", "middle")]
-        parts += [_text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
-                  _text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm")]
+                      f'width="{wide:.1f}" height="{tall:.1f}"/>', text(at + wide / 2, up + tall / 2 + 4, f"{bound * 1e6:.1f}", "middle")]
+        parts += [text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
+                  text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm")]
         height = base + 26
-    return _svg(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
+    return svg(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
 
 
 def budget(c: Certificate) -> str:
@@ -88,6 +70,6 @@ def budget(c: Certificate) -> str:
     parts = []
     for k, row in enumerate(rows):
         wide = 220 * (row.position or 0.0) / top
-        parts += [_text(92, 16 + 22 * k, row.name, "end"), f'<rect class="{"bar" if row.of == "machine" else "measuring"}" x="98" y="{5 + 22 * k}" '
-                  f'width="{wide:.1f}" height="14"/>', _text(102 + wide, 16 + 22 * k, um(row.position or 0.0))]
-    return _svg(10 + 22 * len(rows), "contributions to a position's uncertainty, k = 2", parts)
+        parts += [text(92, 16 + 22 * k, row.name, "end"), f'<rect class="{"bar" if row.of == "machine" else "measuring"}" x="98" y="{5 + 22 * k}" '
+                  f'width="{wide:.1f}" height="14"/>', text(102 + wide, 16 + 22 * k, um(row.position or 0.0))]
+    return svg(10 + 22 * len(rows), "contributions to a position's uncertainty, k = 2", parts)

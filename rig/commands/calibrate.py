@@ -94,6 +94,7 @@ def _calibrate(arguments: Namespace) -> None:
 
         write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, hexapod_of(nominal)))
     _say_promise(arguments.promise, calibration.claim)
+    _say_workspace(calibration)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
@@ -265,10 +266,19 @@ def _say_promise(promise: float | None, claim: Claim | None) -> None:
     print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
 
 
+def _say_workspace(calibration: Calibration) -> None:
+    from calib.workspace.words import lines
+    from rig import mechanisms
+
+    if calibration.workspace is not None:
+        print(lines(calibration.workspace, mechanisms.of(calibration.correction.nominal).UNIT)[0])
+
+
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
             known: tuple[Physics, np.ndarray] | None = None, before: Calibration | None = None) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration
+    from calib.pose_covariance import with_workspace
 
     frames, found = sampled.samples.frame, done.found
     physics, covariance = (None, found.covariance) if known is None else known
@@ -278,5 +288,6 @@ def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], d
     calibration = Calibration(
         done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
         done.held_out, source, claim, physics)
+    calibration = with_workspace(calibration)
     store.save(out, calibration)
     return calibration

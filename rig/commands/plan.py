@@ -12,6 +12,7 @@ from rig.errors import RigError
 if TYPE_CHECKING:
     import numpy as np
 
+    from calib.identify.d_optimal import Avoided
     from rig.design import Arm, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
@@ -33,7 +34,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--given", metavar="PATH", type=Path, help="what is visited already: a recording, or a table frame,l1..l6")
     parser.add_argument("--sigma", nargs=2, type=float, default=(1e-5, 1e-4), metavar=("M", "RAD"),
                         help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)")
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml")
+    parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml, and "
+                        "leave out configurations whose poses the corrected machine does not reach")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
     add_force(parser)
 
@@ -54,9 +56,10 @@ def _promise(arguments: Namespace) -> None:
 
     from calib.identify.promised_poses import fewest
 
+    mechanism, avoided = _calibrated(arguments, mechanism)
     given = _given(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
-    found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of))
+    found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided)
     progress.close()
     writing.write_table(out, ("frame", *mechanism.axes),
                         [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(found.commands)])
@@ -82,6 +85,8 @@ def _separate(arguments: Namespace) -> None:
     from rig.plan import build, logged
     from synthetic.world import temperatures
 
+    if arguments.calibration:
+        raise RigError("--calibration is for plans of --for and --promise; effects are told apart by RIG.toml's own geometry")
     design = design_file.load(arguments.design)
     effects = [placed(parse(text), design) for text in arguments.separate]
     seen = [effect.name for effect in effects if effect.stage in ("targets", "view")]
@@ -118,18 +123,14 @@ def _parameters(arguments: Namespace) -> None:
         raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
     out = arguments.outputs.file(arguments.out)
 
-    from calib import store
     from calib.identify.d_optimal import choose
     from calib.identify.observability import PLAUSIBLE, combinations
 
-    if arguments.calibration:
-        mechanism = store.load(arguments.calibration).correction.fitted
-        if mechanism.kind != "hexapod":
-            raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {mechanism.kind!r}, not of a hexapod")
+    mechanism, avoided = _calibrated(arguments, mechanism)
     given = _given(arguments.given, mechanism) if arguments.given else None
     progress = Progress()
     chosen = choose(mechanism, arguments.count, arguments.sigma, arguments.criterion, given, SEED,
-                    lambda done, of: progress("choosing", done, of))
+                    lambda done, of: progress("choosing", done, of), avoided)
     writing.write_table(out, ("frame", *mechanism.axes),
                         [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(chosen.commands)])
     (before, _), (after, seen), (_, even) = (combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even))
@@ -149,6 +150,24 @@ def _parameters(arguments: Namespace) -> None:
         print(f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
               f"  {_sigma(part.sigma)}  {part.name}")
     print(f"written: {arguments.out}")
+
+
+def _calibrated(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:
+    """(geometry, which configurations are not to be visited) by the calibration that is named; the mechanism as it is where none is.
+
+    Raises RigError for a calibration of another kind of mechanism
+    """
+    if not arguments.calibration:
+        return mechanism, None
+    from functools import partial
+
+    from calib import store
+    from calib.workspace.region import lost
+
+    correction = store.load(arguments.calibration).correction
+    if correction.fitted.kind != "hexapod":
+        raise RigError(f"{arguments.calibration} is a calibration of a mechanism of kind {correction.fitted.kind!r}, not of a hexapod")
+    return correction.fitted, partial(lost, correction)
 
 
 def _along(root: np.ndarray, direction: np.ndarray) -> float:

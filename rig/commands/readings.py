@@ -16,8 +16,7 @@ def forward(arguments: Namespace) -> None:
     import numpy as np
 
     from calib import store
-    from calib.arms import certify
-    from calib.certify.certificate import model_covariance
+    from calib.pose_covariance import pose_covariance
     from rig import mechanisms, table, writing
     from rig.observed import Poses
 
@@ -34,7 +33,7 @@ def forward(arguments: Namespace) -> None:
         i, axis = np.argwhere(far)[0].tolist()
         rows.fail(f"{nominal.axes[axis]} is read beyond its range", i, nominal.axes[axis], readings[i, axis])
     T = correction.predict(readings)
-    covariance = certify.model_covariance(calibration, readings) if nominal.kind == "arm" else model_covariance(calibration, T)
+    covariance = pose_covariance(calibration, T, readings)
     writing.write_poses(out, Poses(frames, T, covariance))
     position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
     moved = np.linalg.norm(T.translation - kinematics.forward(readings, nominal).translation, axis=1)

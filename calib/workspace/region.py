@@ -1,0 +1,89 @@
+"""Poses lost and gained: those that the owner's model reaches and the corrected machine does not, and the other way round.
+
+Source: configuration-space patent, [0029] and claim 5 (the poses that the control function can give, and those that the machine really takes)
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.correct.correction import Correction
+from rig import mechanisms
+from rig.errors import NotConverged
+from rig.pose import difference
+
+SAME = 1e-6  # m and rad, within which a command gives the pose that it was found for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """What one machine reaches. commands : (n, axes) m or rad, all over its strokes, those that close on a pose; T_base_platform : RigidTransform
+    (n,), the poses; needed : (n, axes) what the other machine is to be commanded for them, NaN where nothing was found; out : (n,) bool, whether
+    the other machine does not reach them"""
+
+    commands: np.ndarray
+    T_base_platform: RigidTransform
+    needed: np.ndarray
+    out: np.ndarray
+
+
+def owners(correction: Correction[Any, Any]) -> Correction[Any, Any]:
+    """The machine as its owner believes it, as a Correction that corrects nothing."""
+    return replace(correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None)
+
+
+def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+    """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
+    while True:
+        try:
+            return commands, correction.predict(commands)
+        except NotConverged as error:
+            rest = np.delete(commands, error.index, axis=0)
+            if not len(rest):
+                raise
+            commands = rest
+
+
+def side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:
+    """Side of a machine at commands (m, axes) m or rad, held against another. Raises NotConverged where none of them closes on a pose."""
+    commands, T = closing(commands, machine)
+    needed = other.near(T, commands)
+    return Side(commands, T, needed, ~_reached(needed, T, other))
+
+
+def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.ndarray:
+    """(n,) bool: whether the pose that the owner's model gives for configurations (n, axes) m or rad is out of the corrected machine's reach.
+
+    True as well for those that close on no pose
+    """
+    configurations = np.asarray(configurations, float)
+    owner, out = owners(correction), np.ones(len(configurations), bool)
+    left = np.arange(len(configurations))
+    while len(left):
+        try:
+            T = owner.predict(configurations[left])
+        except NotConverged as error:
+            left = np.delete(left, error.index)
+            continue
+        out[left] = ~_reached(correction.near(T, configurations[left]), T, correction)
+        break
+    return out
+
+
+def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any]) -> np.ndarray:
+    """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which the machine stands."""
+    known = np.isfinite(needed).all(axis=1)
+    known[known] = (mechanisms.of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
+    left = np.flatnonzero(known)
+    while len(left):
+        try:
+            given = machine.predict(needed[left])
+        except NotConverged as error:
+            known[left[error.index]] = False
+            left = np.delete(left, error.index)
+            continue
+        known[left] = np.abs(difference(given, T[left])).max(axis=1) < SAME
+        break
+    return known

@@ -1,0 +1,84 @@
+"""rig workspace CALIBRATION [--certificate FILE] [--out DIR]."""
+
+from __future__ import annotations
+
+import hashlib
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import add_force
+from rig.errors import FileError, RigError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from calib.workspace.cells import Workspace
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("--certificate", metavar="FILE", type=Path, help="certificate.json of this calibration: what it promises stands beside the "
+                        "bound in the cells of its volume")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> None:
+    """Say what a calibration does to the workspace, and write its map."""
+    from calib import store
+    from calib.pose_covariance import with_workspace
+    from calib.workspace import words
+    from calib.workspace.cells import turned_home
+    from rig import mechanisms
+
+    if arguments.out is not None and arguments.out.suffix:
+        raise RigError(f"{arguments.out}: --out takes a folder, for three files")
+    calibration = store.load(arguments.calibration)
+    if calibration.workspace is None:
+        print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
+        calibration = with_workspace(calibration)
+    w, correction = calibration.workspace, calibration.correction
+    assert w is not None
+    certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
+    unit = mechanisms.of(correction.nominal).UNIT
+    print("\n".join(words.lines(w, unit)))
+    if certified is not None:
+        print(words.certified_line(w, certified))
+    if correction.extension is not None or any(correction.remainder):
+        print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
+    if arguments.out is not None:
+        _write(arguments, w, unit, turned_home(correction), certified)
+
+
+def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None) -> None:
+    """Write the map as data, as a table and as a page."""
+    import json
+
+    from calib.workspace.file import COLUMNS, workspace_out, workspace_rows
+    from calib.workspace_page import workspace_page
+    from rig.files import write_text
+    from rig.writing import write_table
+
+    folder = arguments.outputs.folder(arguments.out)
+    write_text(folder / "workspace.json", json.dumps({**workspace_out(w), "room_of": room_of}, allow_nan=False) + "\n")
+    write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
+    workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified)
+    print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
+
+
+def _certified(path: Path, calibration: Path, w: Workspace) -> np.ndarray:
+    """(c, 2) m and rad that a certificate promises in the cells of a Workspace; NaN where it does not speak of them.
+
+    Raises FileError for a file that is no certificate, or one of another calibration
+    """
+    from calib.workspace.certified import certified
+    from rig import json_file
+
+    tree = json_file.load(path, "certificate", "certificate/1")
+    marks = tree.table("inputs_sha256")
+    mine = hashlib.sha256(calibration.read_bytes()).hexdigest()
+    if mine not in {marks.table(name).text("file", default=None) for name in marks.tree}:
+        raise FileError(path, f"certifies another calibration than {calibration}: its hash is not among inputs_sha256")
+    return certified(w, tree)
