@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.arms.scatter import beyond, bounded
-from calib.diagnose.engine.linear import Column, explicit
+from calib.diagnose.engine.linear import Column, LinearModel
 from calib.diagnose.engine.select import select
 from calib.diagnose.problems.arm.candidates import joint_candidates
 from calib.diagnose.problems.arm.columns import Columns, Part
@@ -67,7 +67,7 @@ def test_a_model_by_its_columns_leaks_what_one_by_its_basis_does(searched):
     now, candidates = searched
     linear = now.with_terms([Term.of(search(now, candidates)[0])]).linear
     Q = linear.columns.parts[0] @ linear.half  # the columns are an operator; this is written out
-    basis = explicit(linear.blocks, Column((Q,)), linear.size)
+    basis = LinearModel(linear.blocks, Column((Q,)), None, linear.size)
     rng = np.random.default_rng(0)
     reach, onto = rng.normal(size=Q.shape[1]), rng.normal(size=(3, Q.shape[1]))
     assert linear.leakage(reach, onto) == pytest.approx(basis.leakage(reach, onto), abs=1e-9)

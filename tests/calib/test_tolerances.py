@@ -68,7 +68,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     point = of_recording(recorded(tmp_path, design, [scale], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = tolerated.tolerated(model, sensitivities)
-    seen = model.linear.project(found.column)
+    seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
     assert tolerated.at_work(model, found)
     assert tolerated.beside(model, found).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)

@@ -56,9 +56,7 @@ def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.nda
 
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is judged by the fit to all
     """
-    if model.grams is None:
-        raise ValueError("stretches are held out of a model whose frames' products are kept")
-    grams, basis = model.grams, model.columns.whole
+    (_, grams), basis = model.by_frames(), model.columns.whole
     rows = [[slice(a, b) for a, b in zip(block.edges[:-1], block.edges[1:])] for block in model.blocks]
     right = np.stack([sum(Q[at[f]].T @ y[at[f]] for Q, y, at in zip(basis, residuals, rows)) for f in range(model.frames)])
     known = [slice(int(block.edges[-1]), None) for block in model.blocks]

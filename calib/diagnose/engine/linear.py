@@ -4,7 +4,7 @@ Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances,
 a kind of measurement; its rows stand frame by frame, then what was known beforehand.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -79,21 +79,35 @@ class LinearModel:
 
     blocks : (Block, ..); columns : Column (p) that spans the nuisances; half : (p, r), columns @ half orthonormal; None where they are so already
     size : independent numbers that the residuals hold, nuisances taken off
-    projections, grams : (F, p) of each frame's residuals on orthonormal columns and (F, p, p) of these on themselves; None where the columns
-    are too many to keep them
     """
 
     blocks: tuple[Block, ...]
     columns: Column
     half: np.ndarray | None
     size: int
-    projections: np.ndarray | None = None
-    grams: np.ndarray | None = None
+    _by_frames: list[tuple[np.ndarray, np.ndarray]] = field(init=False, default_factory=list)
 
     @property
     def frames(self) -> int:
         """How many frames there are."""
         return len(self.blocks[0].edges) - 1
+
+    def by_frames(self) -> tuple[np.ndarray, np.ndarray]:
+        """((F, p) of each frame's residuals on an explicit basis, (F, p, p) of its rows on themselves), made once.
+
+        Raises ValueError for a model whose basis is not explicit.
+        """
+        if self.half is not None:
+            raise ValueError("only a model whose nuisances' basis is explicit has it frame by frame")
+        if not self._by_frames:
+            p = self.columns.count
+            rho, gram = np.zeros((self.frames, p)), np.zeros((self.frames, p, p))
+            for block, part in zip(self.blocks, self.columns.whole):
+                for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
+                    rho[f] += part[a:b].T @ block.residual[a:b]
+                    gram[f] += part[a:b].T @ part[a:b]
+            self._by_frames.append((rho, gram))
+        return self._by_frames[0]
 
     def onto(self, products: np.ndarray) -> np.ndarray:
         """Inner products with the columns (.., p) -> with the orthonormal basis (.., r)."""
@@ -121,13 +135,14 @@ class LinearModel:
         more = [(0 if part is None else part @ half) - basis @ lost for basis, part in zip(self.columns.whole, column.parts)]
         blocks = tuple(replace(block, residual=block.residual - part @ z) for block, part in zip(self.blocks, more))
         columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.whole, more)))
-        return explicit(blocks, columns, self.size - half.shape[1])
+        return LinearModel(blocks, columns, None, self.size - half.shape[1])
 
     def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        if self.grams is not None and self.projections is not None:
-            return (self.projections + self.grams @ reach) @ onto.T
-        back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
+        if self.half is None:
+            projections, grams = self.by_frames()
+            return (projections + grams @ reach) @ onto.T
+        back, size = self.half @ onto.T, self.half @ reach
         out = np.zeros((self.frames, len(onto)))
         for block, part in zip(self.blocks, self.columns.whole):
             moved = (part @ np.column_stack([back, size]))[block.frames_rows]
@@ -138,17 +153,6 @@ class LinearModel:
     def cost(self) -> float:
         """Sum of squares of all blocks."""
         return float(sum(block.residual @ block.residual for block in reversed(self.blocks)))
-
-
-def explicit(blocks: tuple[Block, ...], basis: Column, size: int) -> LinearModel:
-    """LinearModel of residuals that are free of an orthonormal basis, the frames' products kept."""
-    frames, p = len(blocks[0].edges) - 1, basis.count
-    rho, gram = np.zeros((frames, p)), np.zeros((frames, p, p))
-    for block, part in zip(blocks, basis.whole):
-        for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
-            rho[f] += part[a:b].T @ block.residual[a:b]
-            gram[f] += part[a:b].T @ part[a:b]
-    return LinearModel(blocks, basis, None, size, rho, gram)
 
 
 def orthonormal(gram: np.ndarray) -> np.ndarray:

@@ -53,6 +53,10 @@ class Problem(Protocol[Fit, Model, C]):
     def residual(self, fit: Fit) -> Model:
         """What it leaves."""
 
+    def tolerates(self, fit: Fit, best: Score[C] | None) -> bool:
+        """Whether from here on something that is nobody's fault stands among the nuisances, since it explains more than the best there is: a
+        change for all Fits, made once."""
+
     def without_term(self, fit: Fit, number: int) -> Model:
         """What it leaves with one term taken away, the others' parameters among the nuisances."""
 

@@ -78,13 +78,18 @@ class Alternative(Generic[C]):
 
 
 def best_of(model: LinearModel, candidate: C, solved: Solved, products: FrameProducts,
-            weights_at: Callable[[int], np.ndarray], cluster: int = 1) -> Score[C]:
+            weights_at: Callable[[int], np.ndarray], least: float = -np.inf) -> Score[C]:
     """Score of the best node of a candidate's grid.
 
     solved : Solved, one for each node; weights_at : a function of the best node's index, its weights (F, a, q)
+    least : of delta chi-square; of what explains less no dispersion is asked, and its chance counts as certain
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
-    return at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best), cluster)
+    if solved.delta_chi2[best] < least:
+        freedom = int(np.ceil(solved.rank[best])) + candidate.extra
+        return Score(candidate, dict(candidate.grid[best]), candidate.allowed(solved.coefficients[best]), float(solved.delta_chi2[best]), 1.0,
+                     freedom, 1.0, float(solved.seen[best]), solved.delta_chi2)
+    return at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
 
 
 def at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,

@@ -71,7 +71,15 @@ def begun(problem: Problem[Fit, Model, C], fit: Fit) -> Fit:
 
 
 def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit:
-    """The Fit with terms admitted step by step; after each step, those that others have made needless go again."""
+    """The Fit with terms admitted step by step; from the beginning again where it turns out that more stands among the nuisances."""
+    while (found := _steps(problem, fit, progress)) is None:
+        continue
+    return found
+
+
+def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None) -> Fit | None:
+    """The Fit with terms admitted step by step; after each step, those that others have made needless go again. None where the nuisances have
+    become more, see `Problem.tolerates`."""
     policy, count = problem.policy, len(problem.candidates)
     taken: set[tuple] = set()
     refused: list[C] = []
@@ -81,7 +89,11 @@ def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         scores = problem.search(model, problem.open(fit), policy.delta_bic, labelled(progress, label))
         fresh = [s for s in scores if key(s) not in taken and not any(s.candidate is c for c in refused)]
         promising = [s for s in fresh if convincing(s, count, problem.linear(model).size, policy)] or _hidden(problem, fit, model, fresh)
-        if not promising or (admitted and _smooth_beyond(problem, model, promising[0])):
+        if problem.tolerates(fit, promising[0] if promising else None):
+            return None
+        if not promising:
+            return fit
+        if admitted and _smooth_beyond(problem, model, promising[0]):
             break
         step = _step(problem, fit, promising, scores, refused)
         if step is None:
@@ -90,7 +102,7 @@ def _forward(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         taken.add(key(score))
         fit = _companions(problem, fit, score, promising, taken, size)
         fit = prune(problem, problem.refined(fit))
-    return fit
+    return None if problem.tolerates(fit, None) else fit
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnose.engine.linear import Block, Column, LinearModel, explicit, orthonormal
+from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
 from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
 from calib.diagnose.problems.platform.geometry import PRIOR, closure_jacobian, count, geometry, pose_jacobian
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
@@ -245,7 +245,7 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
               Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes))
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
     to_rows = W @ closures.to_length if axes else closures.to_length
-    return LinearisedModel(explicit(blocks, Q, size), k, frames, ClosureFrames(W, to_rows, scatter),
+    return LinearisedModel(LinearModel(blocks, Q, None, size), k, frames, ClosureFrames(W, to_rows, scatter),
                            Nuisances(names, camera_columns, half, z))
 
 

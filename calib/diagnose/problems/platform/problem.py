@@ -40,7 +40,7 @@ PlatformSelection = Selection[PlatformFit, PlatformCandidate]
 class PlatformProblem:
     """point : OperatingPoint with nothing admitted; candidates : asked for; policy : thresholds; given : what is said beforehand
     sensitivities : kept from search to search
-    tolerant : whether what tolerances may do on their own is among the nuisances: from the start where they are seen to be at work"""
+    tolerant : whether what tolerances may do on their own is among the nuisances: from where they are seen to be at work on"""
 
     point: OperatingPoint
     candidates: list[PlatformCandidate]
@@ -53,10 +53,16 @@ class PlatformProblem:
         self.sensitivities = Sensitivities(self.point)
 
     def start(self) -> PlatformFit:
-        refined = refine(self.point, self.sensitivities)
-        found = tolerated.tolerated(refined.model, self.sensitivities)
-        self.tolerant = found is not None and tolerated.at_work(refined.model, found)
-        return PlatformFit(refined)
+        return PlatformFit(refine(self.point, self.sensitivities))
+
+    def tolerates(self, fit: PlatformFit, best: PlatformScore | None) -> bool:
+        if self.tolerant:
+            return False
+        model = fit.refined.marginalised
+        found = tolerated.tolerated(model, self.sensitivities)
+        self.tolerant = found is not None and tolerated.at_work(model, found) and \
+            (best is None or tolerated.evidence(model, found) > best.raw_delta_bic(model.size))
+        return self.tolerant
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:
         return list(fit.terms)
@@ -101,7 +107,7 @@ class PlatformProblem:
     def search(self, model: LinearisedModel, candidates: list[PlatformCandidate], least: float = -np.inf,
                progress: Callable[[int, int], None] | None = None) -> list[PlatformScore]:
         self.sensitivities = self.sensitivities.at(model.point)
-        return search(model, candidates, self.sensitivities, progress)
+        return search(model, candidates, self.sensitivities, least, progress)
 
     def rescored(self, model: LinearisedModel, fit: PlatformFit, number: int) -> PlatformScore:
         return self.search(model, [fit.terms[number]])[0]

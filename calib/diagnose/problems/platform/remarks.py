@@ -11,7 +11,8 @@ from calib.diagnose.engine.select import Finding, convincing
 from calib.diagnose.problems.platform.heldout import change
 from calib.diagnose.problems.platform.linearised import CORNERS
 from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.tolerated import Slight, slight, tolerated
+from calib.diagnose.problems.platform.search import column_of
+from calib.diagnose.problems.platform.tolerated import Slight, beside, share_beside, slight, tolerated
 from calib.diagnose.tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
@@ -31,7 +32,7 @@ class Remarks:
 
 def set_apart(problem: PlatformProblem, selection: PlatformSelection,
               left: list[LackOfFit]) -> tuple[PlatformSelection, list[LackOfFit], Remarks]:
-    """(Selection of what matters, what is left and matters, Remarks). The problem is tolerant from here on where it found anything."""
+    """(Selection of what matters, what is left and matters, Remarks)."""
     fit, known = selection.fit, problem.tolerant
     if not known and not selection.findings and not left:
         return selection, left, Remarks([], [], [])
@@ -42,8 +43,10 @@ def set_apart(problem: PlatformProblem, selection: PlatformSelection,
             matters.append(f)
         else:
             small.append((f, reason))
-    problem.tolerant = True
-    stays = left if known else problem.lack_of_fit(problem.residual(fit))
+    stays = left
+    if left and not known:
+        model, more = fit.refined.marginalised, tolerated(fit.refined.marginalised, problem.sensitivities)
+        stays = left if more is None else problem.lack_of_fit(beside(model, more))
     gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
     tiny = [(u, STILL.reason) for u in stays if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit]
     stays = [u for u in stays if not any(u is v for v, _ in tiny)]
@@ -59,11 +62,16 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
         return STILL.reason
     if known:
         return None
-    share = []
-    for problem.tolerant in (False, True):
-        score = problem.rescored(problem.without_term(fit, finding.number), fit, finding.number)
-        share.append(score.delta_chi2 * score.dispersion)
-    return None if convincing(weakened(finding.score, share[1] / share[0]), selection.asked, problem.size(fit), problem.policy) else TOGETHER
+    model = problem.without_term(fit, finding.number)
+    found = tolerated(model, problem.sensitivities)
+    if found is None:
+        return None
+    score, kept = finding.score, problem.sensitivities.at(model.point)
+    share = share_beside(model, found, column_of(model, score.candidate, score.node, kept), not len(score.coefficients))
+    if convincing(weakened(score, share), selection.asked, problem.size(fit), problem.policy):
+        return None
+    own = (s.tolerance.reason for s in found.sites if (s.effect, s.place) == (score.candidate.name, score.candidate.place))
+    return next(own, TOGETHER)
 
 
 def weakened(score: Score, share: float) -> Score:

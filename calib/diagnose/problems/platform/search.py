@@ -23,10 +23,11 @@ CHUNK = 64  # nodes at a time
 
 
 def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
-           progress: Progress | None = None) -> list[PlatformScore]:
+           least: float = -np.inf, progress: Progress | None = None) -> list[PlatformScore]:
     """[Score] of all candidates, the greatest raw delta BIC first.
 
     sensitivities : at the model's OperatingPoint; progress : called with (done, of), or None
+    least : of delta chi-square; what explains less is not asked how likely it is, see `best_of`
     """
     k = model.point
     motion = k.motion(k.effects) if k.axes else None
@@ -39,13 +40,13 @@ def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitiv
             if axes is None or motion is None:
                 raise ValueError(f"{candidate.name}: what moves struts is asked of a recording without commands")
             score = spectrum.best_frequency(model, candidate, axes) if candidate.reach is Reach.SPECTRUM else \
-                _along_axes(model, candidate, sensitivities, axes, motion)
+                _along_axes(model, candidate, sensitivities, axes, motion, least)
         elif candidate.reach is Reach.MOUNT:
             if candidate.place not in mounts:
                 mounts[candidate.place] = corner_products(model, mount_pixels(model, candidate.place))
-            score = _mounted(model, candidate, mounts[candidate.place])
+            score = _mounted(model, candidate, mounts[candidate.place], least)
         else:
-            score = _viewed(model, candidate, sensitivities)
+            score = _viewed(model, candidate, sensitivities, least)
         new = {key: sensitivities.pixels[key] for key in sensitivities.pixels.keys() - held}
         held.update(new)
         unnamed: Any = None  # a candidate is known by its identity, which no copy has
@@ -122,20 +123,21 @@ def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
 
 
 def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, products: FrameProducts,
-                motion: Motion) -> PlatformScore:
+                motion: Motion, least: float) -> PlatformScore:
     solver: Callable[[inner.Normal], Solved] = inner.solve if candidate.spec.linear else inner.whole
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
         weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
         normals.append(inner.framewise(products, weights))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
-    return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion))
+    return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
+                   least)
 
 
-def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts) -> PlatformScore:
+def _mounted(model: LinearisedModel, candidate: PlatformCandidate, products: FrameProducts, least: float) -> PlatformScore:
     w = np.stack([_share(model, candidate, node) for node in candidate.grid])
     solved = inner.solve(inner.stepwise(products, w))
-    return best_of(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6))
+    return best_of(model.linear, candidate, solved, products, lambda best: w[best][:, None, None] * np.eye(6), least)
 
 
 def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> np.ndarray:
@@ -144,8 +146,8 @@ def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> 
     return candidate.effect(node, np.r_[1.0, np.zeros(5)]).mount(camera, model.point.t, model.point.logged)[:, 0]
 
 
-def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities) -> PlatformScore:
+def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float) -> PlatformScore:
     products = corner_products(model, sensitivities.corners(*sensitivities.seen(candidate, candidate.grid[0])))
     solved = inner.solve(inner.stepwise(products, np.ones((1, model.frames))))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
-    return best_of(model.linear, candidate, solved, products, lambda best: weights)
+    return best_of(model.linear, candidate, solved, products, lambda best: weights, least)

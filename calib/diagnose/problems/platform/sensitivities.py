@@ -96,10 +96,15 @@ class Sensitivities:
 
     def corners(self, rows: np.ndarray, quads: np.ndarray) -> np.ndarray:
         """(n, 2, q) px of all observed corners from those of some sightings."""
+        hit, moved = self.touched(rows, quads)
+        out = np.zeros((len(self.point.observed.row), 2, quads.shape[-1]))
+        out[hit] = moved
+        return out
+
+    def touched(self, rows: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(observed corners (h,), (h, 2, q) px of them) of some sightings rows (s,), whose four are quads (s, 4, 2, q) px."""
         seen = self.point.observed
         at = np.full(len(seen.sightings.frame), -1)
         at[rows] = np.arange(len(rows))
         hit = np.flatnonzero(at[seen.row] >= 0)
-        out = np.zeros((len(seen.row), 2, quads.shape[-1]))
-        out[hit] = quads[at[seen.row[hit]], seen.observations.corner[hit]]
-        return out
+        return hit, quads[at[seen.row[hit]], seen.observations.corner[hit]]

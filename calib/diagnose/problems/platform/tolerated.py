@@ -3,11 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.stats import chi2
 
-from calib.diagnose.engine.linear import Column, joined
-from calib.diagnose.engine.products import Normal, solve_with_prior
-from calib.diagnose.problems.platform.linearised import CLOSURES, LinearisedModel
+from calib.diagnose.engine.linear import Column, Projection
+from calib.diagnose.engine.products import Normal, solve, solve_with_prior, whole
+from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.problems.platform.smooth import SLOW, cosines
@@ -36,11 +37,34 @@ class Site:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tolerated:
-    """column : Column (q) of what tolerances do at a linearisation; sigma : (q,) standard deviations of its sizes; sites : what they belong to."""
+    """What tolerances do at a linearisation, q numbers. corners : (2n, q) whitened, frames' own poses still in, of which a number touches few
+    inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers; sites : what they belong to"""
 
-    column: Column
+    corners: csr_array
+    inner: np.ndarray
+    closures: np.ndarray
     sigma: np.ndarray
     sites: tuple[Site, ...]
+
+    def column(self, model: LinearisedModel) -> Column:
+        """Column (q) at the linearisation, written out."""
+        c, out = model.corners, self.corners.toarray()
+        for f, (a, b) in enumerate(zip(2 * c.edges[:-1], 2 * c.edges[1:])):
+            out[a:b] -= c.local[a:b] @ self.inner[f]
+        return Column((out, self.closures), self.inner)
+
+    def projected(self, model: LinearisedModel) -> Projection:
+        """Projection of the column, which is not written out: residual and nuisances stand square to frames' own poses already."""
+        basis, inner = model.linear.columns.whole, self.inner.reshape(-1, len(self.sigma))
+        onto = (self.corners.T @ basis[CORNERS]).T + basis[CLOSURES].T @ self.closures
+        right = self.corners.T @ model.corner_residual + self.closures.T @ model.closure_residual
+        gram = (self.corners.T @ self.corners).toarray() - inner.T @ inner + self.closures.T @ self.closures
+        return Projection(onto, right, gram - onto.T @ onto)
+
+    def with_column(self, model: LinearisedModel, column: Column) -> np.ndarray:
+        """(k, q) inner products of a Column (k) with the tolerances' one, nuisances still in."""
+        seen = [part.T @ own for part, own in zip(column.parts, (self.corners, self.closures)) if part is not None]
+        return np.sum(seen, axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,37 +79,52 @@ class Slight:
 
 def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated | None:
     """Tolerated of a LinearisedModel; None where nothing of the kind could be seen."""
-    k, parts = model.point, []
-    sigma: list[float] = []
-    sites: list[Site] = []
-    kept = sensitivities.at(k)
-    if k.seen is not None:
-        for site, pixels, sizes in _markers(k, kept):
-            parts.append(model.fold(pixels))
-            sites.append(replace(site, columns=slice(len(sigma), len(sigma) + len(sizes))))
-            sigma += sizes
+    k, c, n = model.point, model.corners, 2 * len(model.corners.order)
+    sites, sigma, table = _markers(model, sensitivities.at(k)) if k.seen is not None else ([], [], csr_array((n, 0)))
+    L = c.local.shape[1]
+    frame = np.repeat(np.arange(model.frames), 2 * np.diff(c.edges))
+    own = csr_array((c.local.ravel(), (L * frame[:, None] + np.arange(L)).ravel(), np.arange(0, n * L + 1, L)), (n, model.frames * L))
+    inner = (own.T @ table).toarray().reshape(model.frames, L, -1)
+    closures = model.nothing(table.shape[1])
+    if k.axes:
+        closures = model.on_closures(np.einsum("fij,fjk->fik", model.closures.to_rows, inner))
     if k.axes and mechanisms.of(k.design.mechanism).UNIT == "m" and k.sensors is not None:
         courses, size = _courses(k), THERMOMETER.sigma * STEEL * float(np.median(k.motion(()).lengths))
-        parts.append(model.lengthened(courses))
-        sigma += [size * np.sqrt(2 / SLOW)] * courses.shape[2]
-    return Tolerated(joined(parts), np.array(sigma), tuple(sites)) if parts else None
+        more = courses.shape[2]
+        closures = np.concatenate([closures, model.on_closures(model.closures.W @ courses)], axis=1)
+        inner = np.concatenate([inner, np.zeros((model.frames, L, more))], axis=2)
+        table.resize((n, table.shape[1] + more))
+        sigma += [size * np.sqrt(2 / SLOW)] * more
+    return Tolerated(table, inner, closures, np.array(sigma), tuple(sites)) if sigma else None
 
 
-def _markers(k: OperatingPoint, kept: Sensitivities) -> list[tuple[Site, np.ndarray, list[float]]]:
-    """[(Site, (n, 2, q) px, standard deviations (q,))] of each marker's place, angle and side, and of all sides together."""
-    ids = k.observed.markers.id
+def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
+    """([Site], standard deviations (q,), (2n, q) of corners whitened) of each marker's place, angle and side, and of all sides together."""
+    k, c = model.point, model.corners
+    o, ids, at = k.observed, k.observed.markers.id, np.argsort(model.corners.order)
+    sites: list[Site] = []
+    sigma: list[float] = []
+    entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def add(site: Site, sizes: list[float], hit: np.ndarray, pixels: np.ndarray) -> None:
+        moved = np.einsum("hij,hjq->hiq", c.whiten[at[hit]], pixels) / c.sigma
+        rows, columns = 2 * at[hit][:, None, None] + np.arange(2)[:, None], len(sigma) + np.arange(len(sizes))
+        entries.append(tuple(part.ravel() for part in np.broadcast_arrays(moved, rows, columns)))
+        sites.append(replace(site, columns=slice(len(sigma), len(sigma) + len(sizes))))
+        sigma.extend(sizes)
+
     rows, quads = kept.derivative(PrintScale, ALL_MARKERS, Linear("scale", None, STEP), {})
-    scaled, own = kept.corners(rows, quads[..., None]), ids[k.observed.sightings.marker][k.observed.row]
-    out = [(Site(PrintScale.name, ALL_MARKERS, (("scale", "", 1),), SIDES, slice(0)), scaled, [SIDES.sigma])]
-    for m in np.unique(k.observed.sightings.marker):
-        place, half = f"marker {ids[m]}", k.observed.markers.side[m] / 2
+    everywhere, scaled = kept.touched(rows, quads[..., None])
+    add(Site(PrintScale.name, ALL_MARKERS, (("scale", "", 1),), SIDES, slice(0)), [SIDES.sigma], everywhere, scaled)
+    own = ids[o.sightings.marker][o.row[everywhere]]
+    for m in np.unique(o.sightings.marker):
+        place, half = f"marker {ids[m]}", o.markers.side[m] / 2
         columns = [kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {}) for name in ("offset", "rotation") for j in range(3)]
-        pixels = kept.corners(columns[0][0], np.stack([quads for _, quads in columns], axis=-1))
         site = Site(FaceMisplacement.name, place, (("offset", "m", 3), ("rotation", "rad", 3)), PLACES, slice(0))
-        out.append((site, pixels, [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3))
-        side = np.where((own == ids[m])[:, None, None], scaled, 0.0)
-        out.append((Site(PrintScale.name, place, (("scale", "", 1),), SIDES, slice(0)), side, [SIDES.sigma]))
-    return out
+        add(site, [PLACES.sigma] * 3 + [PLACES.sigma / half] * 3, *kept.touched(columns[0][0], np.stack([q for _, q in columns], axis=-1)))
+        add(Site(PrintScale.name, place, (("scale", "", 1),), SIDES, slice(0)), [SIDES.sigma], everywhere[own == ids[m]], scaled[own == ids[m]])
+    values, at_rows, at_columns = (np.concatenate(part) for part in zip(*entries))
+    return sites, sigma, csr_array((values, (at_rows, at_columns)), (2 * len(c.order), len(sigma)))
 
 
 def _courses(k: OperatingPoint) -> np.ndarray:
@@ -95,9 +134,28 @@ def _courses(k: OperatingPoint) -> np.ndarray:
 
 def at_work(model: LinearisedModel, found: Tolerated) -> bool:
     """Whether tolerances, all together and each within its own, explain more than chance does."""
-    seen = model.linear.project(found.column)
+    seen = found.projected(model)
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), found.sigma)
     return bool(chi2.sf(solved.delta_chi2[0], max(solved.rank[0], 1.0)) < ALPHA)
+
+
+def evidence(model: LinearisedModel, found: Tolerated) -> float:
+    """Twice the logarithm of how much likelier the residuals are beside tolerances than without: their marginal likelihood, sizes normal."""
+    seen = found.projected(model)
+    scaled = np.eye(len(found.sigma)) + found.sigma[:, None] * seen.gram * found.sigma
+    right = found.sigma * seen.right
+    return float(right @ np.linalg.solve(scaled, right) - np.linalg.slogdet(scaled)[1])
+
+
+def share_beside(model: LinearisedModel, found: Tolerated, column: Column, sized: bool) -> float:
+    """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether its size is its own"""
+    alone, tolerances = model.linear.project(column), found.projected(model)
+    cross = found.with_column(model, column) - alone.onto.T @ tolerances.onto
+    taken = np.linalg.solve(tolerances.gram + np.diag(found.sigma**-2.0), np.column_stack([tolerances.right, cross.T]))
+    right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
+    deltas = [(whole if sized else solve)(Normal(b[None], G[None], np.diag(alone.gram)[None])).delta_chi2[0]
+              for b, G in ((alone.right, alone.gram), (right, gram))]
+    return float(deltas[1] / deltas[0])
 
 
 def beside(model: LinearisedModel, found: Tolerated) -> LinearisedModel:
@@ -109,15 +167,14 @@ def beside(model: LinearisedModel, found: Tolerated) -> LinearisedModel:
     bases[CLOSURES] = np.concatenate([bases[CLOSURES], np.zeros((more, bases[CLOSURES].shape[1]))])
     blocks = tuple(closures if i == CLOSURES else block for i, block in enumerate(linear.blocks))
     grown = replace(linear, blocks=blocks, columns=Column(tuple(bases)), size=linear.size + more)
-    parts = list(found.column.parts)
-    own = np.zeros((len(linear.blocks[CLOSURES].residual), more)) if parts[CLOSURES] is None else parts[CLOSURES]
-    parts[CLOSURES] = np.concatenate([own, np.diag(1 / found.sigma)])
+    parts = list(found.column(model).parts)
+    parts[CLOSURES] = np.concatenate([found.closures, np.diag(1 / found.sigma)])
     return replace(model, linear=grown.marginalise(Column(tuple(parts))))
 
 
 def slight(model: LinearisedModel, found: Tolerated) -> list[Slight]:
     """[Slight] of what tolerances are beyond chance, the surest first; what is admitted belongs among the nuisances."""
-    seen = model.linear.project(found.column)
+    seen = found.projected(model)
     covariance = np.linalg.inv(seen.gram + np.diag(found.sigma**-2.0))
     values, out = covariance @ seen.right, []
     for site in found.sites:
