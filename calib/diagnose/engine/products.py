@@ -22,6 +22,12 @@ class FrameProducts:
     kappa: np.ndarray
     half: np.ndarray | None = None
 
+    def confined(self, directions: np.ndarray) -> "FrameProducts":
+        """The same of some of the directions: (a,) bool."""
+        if directions.all():
+            return self
+        return FrameProducts(self.beta[:, directions], self.gamma[:, directions][:, :, directions], self.kappa[:, directions], self.half)
+
     def onto(self, products: np.ndarray) -> np.ndarray:
         """Products with the columns (.., p) -> with the orthonormal basis (.., r)."""
         return products if self.half is None else products @ self.half

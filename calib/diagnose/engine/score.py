@@ -86,10 +86,14 @@ def best_of(model: LinearModel, candidate: C, solved: Solved, products: FramePro
     """
     best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
     if solved.delta_chi2[best] < least:
-        freedom = int(np.ceil(solved.rank[best])) + candidate.extra
-        return Score(candidate, dict(candidate.grid[best]), candidate.allowed(solved.coefficients[best]), float(solved.delta_chi2[best]), 1.0,
-                     freedom, 1.0, float(solved.seen[best]), solved.delta_chi2)
+        return unlikely(candidate, solved, best)
     return at_node(model, candidate, best, candidate.grid[best], solved, products, weights_at(best))
+
+
+def unlikely(candidate: C, solved: Solved, best: int) -> Score[C]:
+    """Score of the best node of those solved, which explains so little that no dispersion is asked: its chance counts as certain."""
+    return Score(candidate, dict(candidate.grid[best]), candidate.allowed(solved.coefficients[best]), float(solved.delta_chi2[best]), 1.0,
+                 int(np.ceil(solved.rank[best])) + candidate.extra, 1.0, float(solved.seen[best]), solved.delta_chi2)
 
 
 def at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Solved, products: FrameProducts, weights: np.ndarray,

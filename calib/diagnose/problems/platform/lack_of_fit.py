@@ -1,13 +1,13 @@
 """What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and markers."""
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
-from calib.diagnose.engine.lack_of_fit import LackOfFit, Test, convincing, tested
-from calib.diagnose.engine.products import FrameProducts
+from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
+from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel
-from calib.diagnose.problems.platform.search import axis_products, corner_products
+from calib.diagnose.problems.platform.search import axis_products, corner_products, lasting
 from calib.diagnose.problems.platform.smooth import FAST, SLOW, in_time, marker_pixels, strut_weights, view_pixels, warp_pixels
 from rig.effects.lens_distortion import LensDistortion
 
@@ -83,7 +83,13 @@ def _markers(model: LinearisedModel) -> list[LackOfFit | None]:
 
 
 def _still(model: LinearisedModel, pixels: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
-    """LackOfFit of corner displacements (n, 2, q) px that are the same in every frame."""
+    """LackOfFit of corner displacements (n, 2, q) px that are the same in every frame; where they are likely by chance, as without dispersion."""
+    hit = np.flatnonzero(pixels.any(axis=(1, 2)))
+    solved = solve(lasting(model, hit, pixels[hit]))
+    delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
+    chance = float(chi2.sf(delta, max(rank, 1)))
+    if rank and chance > ALPHA:
+        return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
     products = corner_products(model, pixels)
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return tested(model.linear, products, Test(place, "px", (depends,), weights, information))

@@ -11,7 +11,7 @@ from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
 from calib.diagnose.engine.parallel import Progress, parallel_map
 from calib.diagnose.engine.products import FrameProducts, Solved
-from calib.diagnose.engine.score import best_of
+from calib.diagnose.engine.score import at_node, best_of, unlikely
 from calib.diagnose.problems.platform import spectrum
 from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
@@ -111,6 +111,30 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
     return FrameProducts(beta, gamma, kappa)
 
 
+def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inner.Normal:
+    """Normal of one candidate that moves observed corners hit (h,) by pixels (h, 2, q) px per unit of each of its parameters, the same in every
+    frame: what `stepwise` makes of `corner_products` with weights of one."""
+    k, c = model.point, model.corners
+    at = np.empty(len(c.order), int)
+    at[c.order] = np.arange(len(c.order))
+    by = np.argsort(at[hit])
+    rows = at[hit[by]]
+    V = (np.einsum("hij,hjq->hiq", c.whiten[rows], pixels[by]) / c.sigma).reshape(2 * len(rows), -1)
+    both = (2 * rows[:, None] + np.arange(2)).ravel()
+    basis, q = model.linear.columns.whole, V.shape[1]
+    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, basis[CORNERS][both].T @ V
+    frame = k.observed.observations.frame[hit[by]]
+    frames, starts = np.unique(frame, return_index=True)
+    own = np.add.reduceat(c.local[both][:, :, None] * V[:, None, :], 2 * starts, axis=0) if len(rows) else np.zeros((0, c.local.shape[1], q))
+    G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
+    if k.axes:
+        moved = (model.closures.to_rows[frames] @ own).reshape(-1, q)
+        here = (k.axes * frames[:, None] + np.arange(k.axes)).ravel()
+        b, G, K = b + moved.T @ model.closure_residual[here], G + moved.T @ moved, K + basis[CLOSURES][here].T @ moved
+    K = model.linear.onto(K.T).T
+    return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
+
+
 def mount_pixels(model: LinearisedModel, place: str) -> np.ndarray:
     """(n, 2, 6) px per unit tangent by which corners move with a camera's mount."""
     k = model.point
@@ -128,7 +152,8 @@ def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivit
     normals = []
     for start in range(0, len(candidate.grid), CHUNK):
         weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
-        normals.append(inner.framewise(products, weights))
+        moved = weights.any(axis=(0, 1, 3))
+        normals.append(inner.framewise(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
     return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
                    least)
@@ -147,7 +172,10 @@ def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> 
 
 
 def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float) -> PlatformScore:
-    products = corner_products(model, sensitivities.corners(*sensitivities.seen(candidate, candidate.grid[0])))
-    solved = inner.solve(inner.stepwise(products, np.ones((1, model.frames))))
+    rows, quads = sensitivities.seen(candidate, candidate.grid[0])
+    solved = inner.solve(lasting(model, *sensitivities.touched(rows, quads)))
+    if solved.delta_chi2[0] < least:
+        return unlikely(candidate, solved, 0)
+    products = corner_products(model, sensitivities.corners(rows, quads))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
-    return best_of(model.linear, candidate, solved, products, lambda best: weights, least)
+    return at_node(model.linear, candidate, 0, candidate.grid[0], solved, products, weights)
