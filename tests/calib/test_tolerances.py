@@ -5,10 +5,16 @@ import json
 import numpy as np
 import pytest
 
+from calib.diagnose.engine.given import UNSAID
+from calib.diagnose.engine.products import stepwise
 from calib.diagnose.problems.platform import tolerated
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.problems.platform.linearised import CLOSURES, linearise
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.operating_point import of_recording
+from calib.diagnose.problems.platform.problem import PlatformProblem
+from calib.diagnose.problems.platform.search import column_of, corner_products, lasting, search
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.page import diagnosis_page
 from calib.diagnose.report.platform import report
@@ -73,3 +79,52 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     assert tolerated.at_work(model, found)
     assert tolerated.beside(model, found).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
+
+
+def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design):
+    point = of_recording(recorded(tmp_path, design, [printed(design, 5e-6, 1e-4)], 11, ROUTE, 0.03))[0]
+    model, sensitivities = linearise(point), Sensitivities(point)
+    found = tolerated.tolerated(model, sensitivities)
+    written, short = model.linear.project(found.column(model)), found.projected(model)
+    assert short.onto == pytest.approx(written.onto, abs=1e-9 * np.abs(written.onto).max())
+    assert short.right == pytest.approx(written.right, abs=1e-9 * np.abs(written.right).max())
+    assert short.gram == pytest.approx(written.gram, abs=1e-9 * np.abs(written.gram).max())
+
+
+def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
+    point = of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
+    model, sensitivities = linearise(point), Sensitivities(point)
+    found = tolerated.tolerated(model, sensitivities)
+    candidates, _ = platform_candidates(point, Asked.of(["backlash", "print_scale"], (), UNSAID))
+    beside = tolerated.beside(model, found)
+    for candidate in candidates:
+        alone, both = (search(m, [candidate], sensitivities)[0] for m in (model, beside))
+        if alone.node == both.node:  # else two sizes are compared
+            column = column_of(model, candidate, alone.node, sensitivities)
+            share = tolerated.share_beside(model, found, column, not len(alone.coefficients))
+            assert share * alone.delta_chi2 * alone.dispersion == pytest.approx(both.delta_chi2 * both.dispersion, rel=1e-6, abs=1e-6)
+
+
+def test_what_lasts_is_scored_by_sums_as_frame_by_frame(tmp_path, design):
+    point = of_recording(recorded(tmp_path, design, ["face_misplacement:8:offset=2e-4/0/0,rotation=0/0/0"], 11, ROUTE, 0.03))[0]
+    model, sensitivities = linearise(point), Sensitivities(point)
+    candidates, _ = platform_candidates(point, Asked.of(["face_misplacement", "edge_bias"], (), UNSAID))
+    for candidate in candidates[::7]:
+        rows, quads = sensitivities.seen(candidate, candidate.grid[0])
+        short = lasting(model, *sensitivities.touched(rows, quads))
+        whole = stepwise(corner_products(model, sensitivities.corners(rows, quads)), np.ones((1, model.frames)))
+        for one, other in zip(short, whole):
+            assert one == pytest.approx(other, abs=1e-9 * np.abs(whole.raw).max())
+
+
+@pytest.mark.parametrize(("hidden", "first"), [("face_misplacement:8:offset=1e-3/0/0,rotation=0/0/0", False), (None, True)])
+def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_path, design, hidden, first):
+    """A strong effect may look like tolerances at work, and is admitted before them; printed markers off by what printers do come first."""
+    point = of_recording(recorded(tmp_path, design, [hidden or printed(design, 1e-5, 2.5e-4)], 11, ROUTE, 0.03))[0]
+    candidates, _ = platform_candidates(point, Asked.of(["backlash", "face_misplacement"], (), UNSAID))
+    problem = PlatformProblem(point, candidates)
+    fit = problem.start()
+    assert tolerated.at_work(fit.refined.model, tolerated.tolerated(fit.refined.model, problem.sensitivities))
+    best = problem.search(problem.residual(fit), candidates)[0]
+    assert problem.tolerates(fit, best) is first and problem.tolerant is first
+    assert not problem.tolerates(fit, None) if first else problem.tolerates(fit, None)  # once; alone, whatever they explain is theirs

@@ -60,8 +60,8 @@ class PlatformProblem:
             return False
         model = fit.refined.marginalised
         found = tolerated.tolerated(model, self.sensitivities)
-        self.tolerant = found is not None and tolerated.at_work(model, found) and \
-            (best is None or tolerated.evidence(model, found) > best.raw_delta_bic(model.size))
+        if found is not None and tolerated.at_work(model, found):
+            self.tolerant = best is None or tolerated.evidence(model, found) > float(best.raw_delta_bic(model.size))
         return self.tolerant
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:

@@ -109,7 +109,8 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     def add(site: Site, sizes: list[float], hit: np.ndarray, pixels: np.ndarray) -> None:
         moved = np.einsum("hij,hjq->hiq", c.whiten[at[hit]], pixels) / c.sigma
         rows, columns = 2 * at[hit][:, None, None] + np.arange(2)[:, None], len(sigma) + np.arange(len(sizes))
-        entries.append(tuple(part.ravel() for part in np.broadcast_arrays(moved, rows, columns)))
+        value, row, column = np.broadcast_arrays(moved, rows, columns)
+        entries.append((value.ravel(), row.ravel(), column.ravel()))
         sites.append(replace(site, columns=slice(len(sigma), len(sigma) + len(sizes))))
         sigma.extend(sizes)
 
