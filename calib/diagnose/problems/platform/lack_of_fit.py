@@ -1,9 +1,13 @@
 """What a platform still does when the catalogue has had its say: smooth functions and scatter at struts, cameras and markers."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from scipy.stats import chi2, norm
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
+from calib.diagnose.engine.parallel import parallel_map
 from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel
@@ -23,12 +27,18 @@ def within(left: LackOfFit, place: str) -> bool:
 
 def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
     """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the nuisances."""
-    k, out = model.point, []
-    if k.axes:
-        out += _struts(model)
+    k = model.point
+    asked: list[Callable[[], list[LackOfFit | None]]] = [partial(_struts, model)] if k.axes else []
     if k.seen is not None:
-        out += _cameras(model) + _markers(model)
-    return convincing(out)
+        asked += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
+        ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
+        shared = marker_pixels(k, ids)
+        asked += [partial(_marker, model, shared, ids, counts, j) for j in range(len(ids))]
+    return convincing([u for found in parallel_map(_asked, asked) for u in found])
+
+
+def _asked(question: Callable[[], list[LackOfFit | None]]) -> list[LackOfFit | None]:
+    return question()
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
@@ -54,32 +64,27 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     return out
 
 
-def _cameras(model: LinearisedModel) -> list[LackOfFit | None]:
-    k, out = model.point, []
-    for i, camera in enumerate(k.design.cameras):
-        count = np.count_nonzero(k.observed.observations.camera == i)
-        if not count:
-            continue
-        place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
-        if i not in k.moving:
-            products = corner_products(model, view_pixels(model, place))
-            out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, cosines), information)) for cosines in (SLOW, FAST)]
-            out.append(_following(products, np.argsort(k.t), place, information))
-        if any(type(e) is LensDistortion and e.place == place for e in k.effects):
-            continue  # what its image still bends by belongs to the lens that was named
+def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
+    k, camera = model.point, model.point.design.cameras[i]
+    count = np.count_nonzero(k.observed.observations.camera == i)
+    if not count:
+        return []
+    out: list[LackOfFit | None] = []
+    place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
+    if i not in k.moving:
+        products = corner_products(model, view_pixels(model, place))
+        out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, cosines), information)) for cosines in (SLOW, FAST)]
+        out.append(_following(products, np.argsort(k.t), place, information))
+    if not any(type(e) is LensDistortion and e.place == place for e in k.effects):  # else what its image still bends by belongs to that lens
         out.append(_still(model, warp_pixels(k, i), place, "image position", information))
     return out
 
 
-def _markers(model: LinearisedModel) -> list[LackOfFit | None]:
-    k, out = model.point, []
-    ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
-    pixels = marker_pixels(k, ids)
-    own = pixels.shape[2] // max(len(ids), 1)
-    for j, (number, count) in enumerate(zip(ids, counts)):
-        part = pixels[:, :, j * own : (j + 1) * own]
-        out.append(_still(model, part, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2))
-    return out
+def _marker(model: LinearisedModel, pixels: np.ndarray, ids: np.ndarray, counts: np.ndarray, j: int) -> list[LackOfFit | None]:
+    """Of marker ids[j], seen counts[j] times. pixels : `marker_pixels` of them all"""
+    own = pixels.shape[2] // len(ids)
+    information = 4 * counts[j] / model.corner_noise() ** 2
+    return [_still(model, pixels[:, :, j * own : (j + 1) * own], f"marker {ids[j]}", "place on the marker", information)]
 
 
 def _still(model: LinearisedModel, pixels: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
