@@ -153,6 +153,7 @@ def _along_axes(model: LinearisedModel, candidate: PlatformCandidate, sensitivit
     for start in range(0, len(candidate.grid), CHUNK):
         weights = np.stack([sensitivities.deviation(candidate, node, motion) for node in candidate.grid[start : start + CHUNK]])
         moved = np.atleast_1d(weights.any(axis=(0, 1, 3)))
+        moved |= not moved.any()
         normals.append(inner.framewise(products.confined(moved), weights[:, :, moved]))
     solved = solver(inner.Normal(*(np.concatenate(part) for part in zip(*normals))))
     return best_of(model.linear, candidate, solved, products, lambda best: sensitivities.deviation(candidate, candidate.grid[best], motion),
