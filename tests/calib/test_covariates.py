@@ -5,12 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.diagnose.engine.given import UNSAID
+from calib.diagnose.engine.select import select
+from calib.diagnose.problems.arm.candidates import joint_candidates
+from calib.diagnose.problems.arm.covariates import covariates
+from calib.diagnose.problems.arm.fit import fit
+from calib.diagnose.problems.arm.poses import arms_of
+from calib.diagnose.problems.arm.problem import ArmProblem
+from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.words import covariate_table
 from rig.effects.motion import Path
+from rig.effects.play import play
 from rig.recording import Sensors
+from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
+from tests.rig.arms import UR10
 
 
 @pytest.fixture(scope="module")
@@ -35,3 +46,24 @@ def test_what_an_effect_follows_leads_and_is_gone_after(rec):
 def test_a_dwell_counts_from_the_last_move():
     t, lengths = np.array([0.0, 1.0, 2.0, 5.0, 6.0]), np.array([[1.0], [1.0], [2.0], [2.0], [3.0]])
     assert Path(t, lengths, np.array([1, 2, 3, 4])).dwell.tolist() == [1.0, 0.0, 3.0, 0.0]
+
+
+def test_of_an_arm_too(arm_with_play):
+    problem, arms = arm_with_play
+    told = {c.name: c for c in covariates(fit(arms), select(problem).fit, problem.policy.cluster)}
+    assert next(iter(told)) == "direction" and {"time", "order", "step", "way travelled"} <= set(told)
+    assert told["direction"].before["joints"].share > 0.1 > 0.01 > told["direction"].after["joints"].share
+
+
+@pytest.fixture(scope="module")
+def arm_with_play():
+    """(ArmProblem, Arms) of a UR10 with backlash in joint 3 alone."""
+    rng = np.random.default_rng(5)
+    true = arm_worlds.secret(UR10, rng)
+
+    def deviation(q):
+        return (play(q, 3e-4) - q) * (np.arange(6) == 2)
+
+    arms, _ = arms_of(arm_worlds.tracked(true, UR10, 150, rng, deviation=deviation), arm_worlds.design(UR10))
+    candidates, _ = joint_candidates(arms, Asked.of(["backlash"], (), UNSAID))
+    return ArmProblem(arms, candidates), arms

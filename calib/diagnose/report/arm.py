@@ -16,7 +16,18 @@ from calib.diagnose.problems.arm.fit import Term
 from calib.diagnose.problems.arm.nonlinear import joint_covariance, moments
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown, unusual
-from calib.diagnose.report.schema import AlternativeEntry, Evidence, FindingEntry, FitEntry, NotAskedEntry, Report, Value, said_of, write
+from calib.diagnose.report.schema import (
+    AlternativeEntry,
+    Evidence,
+    FindingEntry,
+    FitEntry,
+    NotAskedEntry,
+    Report,
+    Value,
+    covariate_entries,
+    said_of,
+    write,
+)
 from rig import machine_file
 from rig.files import write_text
 from rig.recording import Recording
@@ -35,7 +46,7 @@ def report(d: ArmDiagnosis) -> Report:
     again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), said=d.said,
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
 

@@ -14,8 +14,10 @@ from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.parallel import parallel_map
 from calib.diagnose.engine.problem import Progress
+from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import Finding, choose, labelled, select
 from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candidates
+from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.poses import Arms, arms_of
@@ -52,7 +54,8 @@ class ArmDiagnosis:
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
     regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
-    left : [LackOfFit]; origin : of the owner's clock, which moments are told by
+    left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
+    origin : of the owner's clock, which moments are told by
     given : what was said beforehand; said : the operator's words, as options"""
 
     recording: str
@@ -69,6 +72,7 @@ class ArmDiagnosis:
     repeats: Repeats | None
     left: list[LackOfFit]
     regions: list[list[CrossValidation]] = field(default_factory=list)
+    covariates: list[Covariate] = field(default_factory=list)
     origin: Origin = Origin()
     given: Given = Given()
     said: tuple[str, ...] = ()
@@ -102,8 +106,9 @@ def diagnosed(arms: Arms, found: Identified, name: str, source: str, asked: Aske
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
-    return ArmDiagnosis(name, source, arms, moved(found.arm, step), fit(arms), chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, lack_of_fit(chosen, again, problem.policy.cluster), regions, given=given)
+    before, cluster = fit(arms), problem.policy.cluster
+    return ArmDiagnosis(name, source, arms, moved(found.arm, step), before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
+                        again, lack_of_fit(chosen, again, cluster), regions, covariates(before, chosen, cluster), given=given)
 
 
 def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,

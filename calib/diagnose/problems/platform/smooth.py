@@ -6,12 +6,11 @@ import numpy as np
 from scipy.linalg import null_space
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.problems.histories import cosines, direction, powers, speed, unit
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.search import mount_pixels
-from rig.effects.base import Path
 from rig.effects.lens_distortion import products
-from rig.machine import ABOUT
 from rig.pose import difference
 
 SLOW, FAST = 8, 24  # cosines of a smooth function of time
@@ -32,12 +31,12 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
     lengths, way_last = motion.lengths, direction(motion.path)
     for j in range(k.axes):
         bases.append((f"strut {j + 1}'s position", _alike(powers(lengths[:, j], 4), ones)))
-    scaled = np.stack([_unit(column) for column in lengths.T], axis=1)
+    scaled = np.stack([unit(column) for column in lengths.T], axis=1)
     bases.append(("history", np.stack([way_last, way_last * scaled], axis=2)))
     way = motion.path.way
     if np.ptp(way, axis=0).min(initial=np.inf) > 0:
         bases.append(("way travelled", np.stack([powers(column, 2) for column in way.T], axis=1)))
-    pace = speed(k)
+    pace = speed(k.commanded, k.t)
     speeds = np.stack([pace, pace * np.abs(pace) / max(np.abs(pace).max(), 1e-300)], axis=2)
     if pace.any():
         bases.append(("speed", speeds))
@@ -158,39 +157,9 @@ def _alike(basis: np.ndarray, ones: np.ndarray) -> np.ndarray:
     return ones[None, :, None] * basis[:, None, :]
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
-    return (x - x.mean()) / max(np.abs(x - x.mean()).max(), 1e-300)
-
-
-def powers(x: np.ndarray, most: int) -> np.ndarray:
-    """(F, most) powers of a covariate (F,), from the first on, scaled to within -1 .. 1."""
-    return np.stack([_unit(x) ** n for n in range(1, most + 1)], axis=1)
-
-
 def _pose(k: OperatingPoint) -> np.ndarray:
     """(F, q) polynomials of the pose up to the second degree, and pure cubes, of what lies between it and its mean."""
     x = difference(k.T.mean(), k.T)
     x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)
     pairs = [x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)]
     return np.column_stack([x, *pairs, x**3])
-
-
-def cosines(t: np.ndarray, count: int) -> np.ndarray:
-    """(F, q) so many cosines of time, slowest first."""
-    s = (t - t[0]) / max(np.ptp(t), 1e-300)
-    return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
-
-
-def direction(path: Path) -> np.ndarray:
-    """(F, axes) -1 or 1: which way each strut last moved before the exposure, 0 where it never did."""
-    step = np.sign(np.diff(path.lengths, axis=0, prepend=path.lengths[:1]))
-    for j in range(1, len(step)):
-        step[j] = np.where(step[j] == 0, step[j - 1], step[j])
-    return step[path.at]
-
-
-def speed(k: OperatingPoint) -> np.ndarray:
-    """(F, axes) m/s of the struts at the exposures."""
-    path = k.commanded
-    ends = [np.stack([np.interp(k.t + s * ABOUT, path.t, column) for column in path.values.T], axis=1) for s in (1, -1)]
-    return (ends[0] - ends[1]) / (2 * ABOUT)

@@ -9,12 +9,13 @@ import numpy as np
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.engine.score import Alternative, Score
 from calib.diagnose.engine.select import Finding, stands
+from calib.diagnose.problems.histories import cosines
 from calib.diagnose.problems.platform.candidates import candidate_of, context_of
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.refine import Refined
-from calib.diagnose.problems.platform.smooth import SLOW, cosines
+from calib.diagnose.problems.platform.smooth import SLOW
 from rig.effects import ALL
 from rig.effects.base import AXES, REFERENCE_TEMPERATURE, Effect
 from rig.effects.candidate import Candidate as EffectCandidate

@@ -8,10 +8,11 @@ from scipy.stats import chi2
 
 from calib.diagnose.engine.linear import Column, Projection
 from calib.diagnose.engine.products import Normal, solve, solve_with_prior, whole
+from calib.diagnose.problems.histories import cosines
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
-from calib.diagnose.problems.platform.smooth import SLOW, cosines
+from calib.diagnose.problems.platform.smooth import SLOW
 from calib.diagnose.tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from rig import mechanisms
 from rig.effects.base import Linear
