@@ -42,7 +42,7 @@ FRAMES = ("T_base_platform maps platform coordinates to the base; base and platf
           "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
 ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
               "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
-              "a joint turns to q - remainder(q); tangents x y z rx ry rz on the right")
+              "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right")
 PARAMETERS = "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
@@ -141,7 +141,7 @@ def mechanism_out(mechanism: Hexapod | Arm) -> dict[str, Any]:
     """dict of a Hexapod or an Arm, as JSON holds it."""
     if isinstance(mechanism, Arm):
         return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
-                "tool": _pose_out(mechanism.tool)}
+                "tool": _pose_out(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
     return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
             "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
@@ -155,10 +155,18 @@ def mechanism_in(table: Entries) -> Hexapod | Arm:
         joints = table.array("joints", (None, columns))
         if not 0 < len(joints) <= MOST_JOINTS:
             table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
-        return Arm(joints, table.array("limits", (len(joints), 2)), table.pose("base"), table.pose("tool"))
+        return Arm(joints, table.array("limits", (len(joints), 2)), table.pose("base"), table.pose("tool"), _slides_in(table, len(joints)))
     return Hexapod(table.array("base_joints", (6, 3), length_limit=LARGEST_RIG), table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
                    table.array("strut_range", (6, 2), length_limit=LARGEST_RIG), table.pose("home"),
                    table.array("strut_zeros", (6,), length_limit=LARGEST_RIG))
+
+
+def _slides_in(table: Entries, count: int) -> np.ndarray:
+    """(count,) bool, which joints slide; none where nothing is said."""
+    listed = table.get("slides", [False] * count)
+    if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):
+        table.fail(f"{table.name('slides')} must list {count} times true or false", "slides")
+    return np.array(listed, bool)
 
 
 def _pose_out(T: RigidTransform) -> dict[str, list[float]]:

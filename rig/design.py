@@ -88,12 +88,14 @@ class Arm:
     joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad): distal Denavit-Hartenberg,
     A_i = Rot_z(theta_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i) Rot_y(beta_i); limits : (n, 2) rad
     base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
+    slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by default
     """
 
     joints: np.ndarray
     limits: np.ndarray
     base: RigidTransform = field(default_factory=RigidTransform.identity)
     tool: RigidTransform = field(default_factory=RigidTransform.identity)
+    slides: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     kind: ClassVar[Literal["arm"]] = "arm"
 
     def __post_init__(self) -> None:
@@ -101,6 +103,21 @@ class Arm:
         if self.joints.shape[1] not in (4, 5):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         _set(self, "limits", (len(self.joints), 2))
+        slides = np.array(self.slides, bool) if np.size(self.slides) else np.zeros(len(self.joints), bool)
+        if slides.shape != (len(self.joints),):
+            raise ValueError(f"slides: expected shape {(len(self.joints),)}, got {slides.shape}")
+        slides.setflags(write=False)
+        object.__setattr__(self, "slides", slides)
+
+    @property
+    def size(self) -> float:
+        """m, how far links and slides reach at the most."""
+        return float(np.abs(self.joints[:, 1:3]).sum() + np.abs(self.limits[self.slides]).max(axis=1).sum())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each joint's travel, "rad" or, of a slide, "m"."""
+        return tuple("m" if slide else "rad" for slide in self.slides)
 
     @property
     def rows(self) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rig import arm_entries
 from rig.controller import PROTOCOLS, Controller
 from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
                         MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
@@ -65,15 +66,8 @@ def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Free:
     if kind == "free":
         return Free()
     if kind == "arm":
-        rows = table.get("joints")
-        columns = len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) in (4, 5) else 4
-        joints = table.array("joints", (None, columns))
-        if not len(joints):
-            table.fail("mechanism.joints is empty", "joints")
-        for i, row in enumerate(joints):
-            for j in (1, 2):
-                table.numbers(float(row[j]), (), "joints", (i, j), LARGEST_RIG)
-        return Arm(joints, _ranges(table, "limits", len(joints), None))
+        joints, slides = arm_entries.joints(table)
+        return Arm(joints, arm_entries.limits(table, slides), slides=slides)
     if kind == "planar2":
         return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG))
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
@@ -89,12 +83,12 @@ def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Free:
     return hexapod
 
 
-def _ranges(table: Entries, key: str, count: int, length_limit: float | None) -> np.ndarray:
+def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.ndarray:
     ranges = table.array(key, (count, 2), length_limit=length_limit)
     for i, (low, high) in enumerate(ranges):
         if not low < high:
             table.fail(f"{table.name(key)}[{i + 1}] must run from small to large, not {low:g} .. {high:g}", key, i)
-        if length_limit is not None and low <= 0:
+        if low <= 0:
             table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
     return ranges
 

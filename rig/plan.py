@@ -45,15 +45,15 @@ class Plan:
 class _Writer:
     """A plan being written: where the struts are, when, and what has been exposed."""
 
-    def __init__(self, start: np.ndarray, speed: float, below: float | np.ndarray = 0.0) -> None:
+    def __init__(self, start: np.ndarray, speed: float | np.ndarray, below: float | np.ndarray = 0.0) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
         self.exposures: list[float] = []
         self.speed, self.below = speed, below
 
     def go(self, goal: np.ndarray) -> None:
-        travel = np.abs(goal - self.values[-1]).max() / self.speed
-        if travel > 0:
-            self.t.append(self.t[-1] + max(travel, STEP))
+        seconds = float((np.abs(goal - self.values[-1]) / self.speed).max())
+        if seconds > 0:
+            self.t.append(self.t[-1] + max(seconds, STEP))
             self.values.append(goal)
 
     def dwell(self, seconds: float) -> None:
@@ -75,8 +75,11 @@ class _Writer:
         return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.array(self.payload))
 
 
-def settled(configurations: np.ndarray, start: np.ndarray, speed: float) -> Plan:
-    """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled. speed : m/s."""
+def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
+    """Plan that goes to each configuration (n, axes) in turn from start (axes,), dwells, and exposes once settled.
+
+    speed : of the axes, one or (axes,) m/s or rad/s
+    """
     writer = _Writer(np.asarray(start, float), speed)
     for goal in configurations:
         writer.settle(goal)
@@ -165,7 +168,7 @@ def _moving(writer: _Writer, design: Design, count: int, rng: np.random.Generato
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
     seconds = (count or 60) * EXPOSE_EVERY + 2.0
     rates = rng.uniform(0.2, 0.6, (2, len(strokes)))
-    rates *= np.minimum(1, 2 * writer.speed / (half * rates.sum(axis=0)).max())
+    rates *= np.minimum(1, 2 / (half * rates.sum(axis=0) / writer.speed).max())
     phases = rng.uniform(0, 2 * np.pi, (2, len(strokes)))
 
     def at(t: float) -> np.ndarray:
@@ -269,11 +272,10 @@ def strokes_of(design: Design) -> np.ndarray:
     return mechanisms.of(design.mechanism).travel(design.mechanism)
 
 
-def speed_of(design: Design) -> float:
-    """m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of struts."""
-    unit = mechanisms.of(design.mechanism).UNIT
-    top = design.actuator.max_speed if unit == "m" else None
-    return SPEED * top if top else UNSTATED_SPEED[unit]
+def speed_of(design: Design) -> np.ndarray:
+    """(axes,) m/s or rad/s at which a plan moves the axes of a design. The top speed that a rig.toml states is that of struts and slides."""
+    top = design.actuator.max_speed
+    return np.array([SPEED * top if top and unit == "m" else UNSTATED_SPEED[unit] for unit in mechanisms.units(design.mechanism)])
 
 
 def logged(plan: Plan, sensors: Sensors) -> Sensors:

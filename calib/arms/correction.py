@@ -1,19 +1,23 @@
 """The corrected arm: what a command will really give, and what to command for a wanted pose.
 
 Source: lecture on the manipulator Jacobian, compensation by the differential error transform (steps (1), (2) and on), and the
-configuration-space patent for the summands on top.
+configuration-space patent for the summands on top. To make up for any error takes six joints: with fewer the hand is brought as near
+as it comes, see rig.mechanisms.deficient, and what is left is for `rest` to say.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.arms import model
 from calib.arms.profile import Profile
 from calib.correct.correction import Correction
 from rig.design import Arm
 from rig.errors import Unreachable
 from rig.mechanisms import arm as mechanism
+from rig.mechanisms import deficient
 from rig.pose import difference
 
 STARTS = 4  # visited configurations tried as a start before any other
@@ -21,6 +25,7 @@ ITERATIONS = 40
 TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
 NEAR = 0.05  # m and rad; what the owner's model may leave of a pose for its joint solution to be a start
 STEP = 0.3  # rad; longest single correction
+FAR, LIKE, MET = 0.05, 1e-6, 1e-10  # m and rad; of an arm of few joints: out of reach, as near as any, a position that is met
 RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is looked for
 
 
@@ -31,18 +36,31 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     visited: np.ndarray
 
+    @property
+    def deficient(self) -> bool:
+        """Whether the arm has too few joints to take any pose."""
+        return len(self.nominal.joints) < deficient.WHOLE
+
     def summand(self, commands: np.ndarray) -> np.ndarray:
-        """KSF (..., joints) rad at commands: commanded less what the owner's model says for the pose that it gives."""
+        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it gives."""
+        if self.deficient:
+            return commands - deficient.nearest(self.predict(commands), self.nominal, commands, deficient.directions(self.nominal))[0]
         return commands - mechanism.inverse(self.predict(commands), self.nominal, commands)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
-        """Commands (..., joints) rad that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
+        """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
+        if self.deficient:
+            return self._nearest(T_base_platform, self._near(T_base_platform), self.nominal, None)
         return mechanism.inverse(T_base_platform, self.nominal, self._near(T_base_platform)[:, 0])
 
-    def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
-        """Commands (..., joints) rad that give wanted poses (...); limits are for `reachable` to check.
+    def rest(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+        """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints cannot make up for."""
+        return difference(self.predict(commands), T_base_platform)
 
-        guess : (..., joints) rad, what is near; by default the nearest visited configurations
+    def inverse(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
+        """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for `reachable` to check.
+
+        guess : (..., joints) rad or m, what is near; by default the nearest visited configurations
         The joint solution of the owner's model is the start; all errors but the joints' own are made up for by J^+ dPOS near the
         wanted pose, iterated; the joints' own errors are simply added, last.
         Raises Unreachable with the index of poses that no start leads to
@@ -51,6 +69,8 @@ class ArmCorrection(Correction[Arm, Profile]):
         T = T_base_platform.reshape(-1) if len(shape) != 1 else T_base_platform
         n = len(self.nominal.joints)
         starts = self._near(T) if guess is None else np.broadcast_to(guess, (*shape, n)).reshape(-1, n)[:, None]
+        if self.deficient:
+            return self._nearest(T, starts, self.fitted, self.rho).reshape(*shape, n)
         commands, left = np.full((len(T), n), np.nan), np.full(len(T), np.inf)
         for k in range(starts.shape[1] + 1):
             todo = np.flatnonzero((left > TOLERANCE) | (mechanism.limits(commands, self.nominal) != 0).any(axis=1))
@@ -68,15 +88,48 @@ class ArmCorrection(Correction[Arm, Profile]):
         return commands.reshape(*shape, n)
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
-        """Commands (n, joints) rad that give poses (n,), sought from the guess (n, joints) alone; NaN where it leads to none."""
+        """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it leads to none."""
+        if self.deficient:
+            q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
+            return np.where(good[:, None], q, np.nan)
         q, reached = mechanism.solve(T_base_platform, self.nominal, guess, starts=0)
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
+    def _nearest(self, T: RigidTransform, starts: np.ndarray, arm: Arm, rho: Callable[[np.ndarray], np.ndarray] | None) -> np.ndarray:
+        """Commands (m, joints) of an arm of few joints, nearest to poses T (m,): of starts (m, k, joints) the first that leads about as near as any.
+
+        rho : what a joint falls short of its command, or None. Raises Unreachable with what is left, for positions that are not met where the arm
+        moves in all directions, and for poses FAR from any that can be taken
+        """
+        q, good, rest = (np.stack(parts) for parts in zip(*(self._led(T, starts[:, k], arm, rho) for k in range(starts.shape[1]))))
+        place, turn = (np.linalg.norm(rest[..., part], axis=2) for part in (slice(0, 3), slice(3, 6)))
+        inside = good & (mechanism.limits(q, self.nominal) == 0).all(axis=2)
+        size = np.maximum(place, turn)
+        size = np.where(inside | ~inside.any(axis=0) & good, size, np.inf)
+        pick = np.argmax(size <= 2 * size.min(axis=0) + LIKE, axis=0)
+        far = np.flatnonzero(~good.any(axis=0))
+        if len(far):
+            raise Unreachable(f"{len(far)} of {len(T)} wanted poses are out of the reach of the arm, which has {q.shape[2]} joints:", far,
+                              [f"pose {i}: no command comes nearer than {place[:, i].min():.3g} m and {turn[:, i].min():.3g} rad"
+                               for i in far.tolist()])
+        return np.take_along_axis(q, pick[None, :, None], axis=0)[0]
+
+    def _led(self, T: RigidTransform, start: np.ndarray, arm: Arm,
+             rho: Callable[[np.ndarray], np.ndarray] | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(commands (m, joints), good (m,) bool, rest (m, 6)) of an arm of few joints led to poses T (m,) from starts (m, joints), as `_nearest`."""
+        count = deficient.directions(self.nominal)
+        q, rest, settled = deficient.nearest(T, arm, start, count, None if rho is None else lambda values: values - rho(values))
+        place, turn = np.linalg.norm(rest[:, :3], axis=1), np.linalg.norm(rest[:, 3:], axis=1)
+        good = settled & (place <= (MET if count.position == 3 else FAR)) & (turn <= FAR)
+        return mechanism.wrapped(q, self.nominal, q), good, rest
+
     def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(commands, left): from joint solutions q (m, n) of the owner's model, by differential error transforms."""
-        offset = self.fitted.rows[:, 0] - self.nominal.rows[:, 0]
-        rest = replace(self.fitted, joints=np.column_stack([self.nominal.rows[:, :1], self.fitted.rows[:, 1:]]))
+        offset = model.zeros(self.fitted) - model.zeros(self.nominal)
+        rows = self.fitted.rows.copy()
+        rows[np.arange(len(rows)), self.fitted.slides.astype(int)] = model.zeros(self.nominal)
+        rest = replace(self.fitted, joints=rows)
         left = np.full(len(q), np.inf)
         best = q
         for _ in range(ITERATIONS):

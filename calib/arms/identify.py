@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arms import model
+from calib.arms import model, structure
 from calib.arms.observations import Observations
 from calib.arms.rank import Rank, independent
 from calib.arms.scatter import beyond
@@ -50,11 +50,14 @@ class Identified:
 
 
 def parameters(arm: Arm, kind: str) -> np.ndarray:
-    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances.
+    """(p,) bool: the independent parameters of an arm's structure, 4 n + 6 for poses, 4 n + 3 for positions, 4 n for distances, 2 n + 3 for
+    orientations; a slide, of which the direction counts and not the place, has two fewer (see calib.arms.structure).
 
     Axis 1 stands in the base, so theta 1 and d 1 add nothing to it; the last row adds nothing to the tool. Where a row's two
     axes are near parallel, beta takes the place of d (Hayati), for which the common normal's place along them is undefined.
     """
+    if arm.slides.any() or kind == "orientation":
+        return structure.independent(arm, kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
     rows = arm.rows

@@ -20,6 +20,16 @@ ROW = ("theta", "d", "a", "alpha", "beta")
 TANGENT = ("x", "y", "z", "rx", "ry", "rz")
 
 
+def zeros(arm: Arm) -> np.ndarray:
+    """(n,) rad, of slides m: what stands with a joint's own value in its row, theta or d."""
+    return np.where(arm.slides, arm.rows[:, 1], arm.rows[:, 0])
+
+
+def zero_columns(arm: Arm) -> np.ndarray:
+    """(n,) index of each joint's zero among the parameters."""
+    return 6 + 5 * np.arange(len(arm.joints)) + arm.slides
+
+
 def names(arm: Arm) -> tuple[str, ...]:
     """Names of the parameters, in order: base x .. base rz, theta 1, d 1, a 1, alpha 1, beta 1, theta 2 .., tool x .. tool rz."""
     rows = [f"{name} {i + 1}" for i in range(len(arm.joints)) for name in ROW]
@@ -39,7 +49,7 @@ def moved(arm: Arm, step: np.ndarray) -> Arm:
 
 
 def predicted(q: np.ndarray, arm: Arm) -> RigidTransform:
-    """T_base_platform (...) of the instrument's target in the instrument's frame, at joint angles q (..., n) rad."""
+    """T_base_platform (...) of the instrument's target in the instrument's frame, at joint values q (..., n) rad or m."""
     return mechanism.forward(q, arm)
 
 
@@ -49,21 +59,21 @@ def residuals(q: np.ndarray, T_measured: RigidTransform, arm: Arm) -> np.ndarray
 
 
 def joint_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
-    """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint angles q (..., n) rad."""
+    """(..., 6, n) change of the target's pose (tangent on the right, m and rad) with the joint values q (..., n) rad or m."""
     return mechanism.jacobian(q, arm)
 
 
 def parameter_jacobian(q: np.ndarray, arm: Arm) -> np.ndarray:
     """(..., 6, 12 + 5 n) change of the target's pose (tangent on the right, m and rad) with the parameters.
 
-    q : (..., n) rad. At the tool the columns are the identity; all others are axis x lever over axis, seen in the target.
+    q : (..., n) rad or m. At the tool the columns are the identity; all others are axis x lever over axis, seen in the target.
     """
     chain = mechanism.frames(q, arm)
     n = len(arm.joints)
     R, p = chain[..., -1, :3, :3], chain[..., -1, :3, 3]
     before, after = chain[..., :n, :, :], chain[..., 1 : n + 1, :, :]
     rows = arm.rows
-    turn = (np.asarray(q, float) + rows[:, 0])[..., None]
+    turn = (mechanism.turned(q, arm) + rows[:, 0])[..., None]
     along = np.cos(turn) * before[..., :3, 0] + np.sin(turn) * before[..., :3, 1]  # the common normal, x of the turned frame
     across, origin = after[..., :3, 1], after[..., :3, 3]
     z = before[..., :3, 2]

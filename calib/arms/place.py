@@ -26,7 +26,7 @@ STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to 
 APART = np.radians(25)  # between two of them
 LOOKED_AT, ROUGHLY = 150, (40, 8)  # observations that the search uses; and observations and steps of the rough refinement
 HUBER = 3.0  # times the median; an observation farther off counts less
-ZERO = 0.1  # rad; what a joint's zero may be off by
+ZERO = 0.1  # rad, of a slide m; what a joint's zero may be off by
 COARSE = (0.03, 0.05)  # m, rad; what an arm with such zeros leaves, for weighing rotations against positions in the search
 FINE = (1e-3, 2e-3)  # m, rad; the same once zeros are free
 AWAY, REACH = 3.0, 0.3  # m, what bases stand away by and targets on hands reach: what poses leave open goes no farther
@@ -151,7 +151,7 @@ def _refined(observations: Observations, arm: Arm, rows: np.ndarray, unknown: tu
     free, prior = np.zeros(12 + 5 * n, bool), np.zeros(12 + 5 * n)
     free[:6], free[-6:] = unknown
     free[-3:] &= posed
-    zeros = np.arange(6 + 5, 6 + 5 * n, 5)  # all but the first, which is the base's
+    zeros = model.zero_columns(arm)[1:]  # all but the first, which is the base's
     prior[:6], prior[-6:] = 1 / np.repeat([AWAY, TURN], 3), 1 / np.repeat([REACH, TURN], 3)
     free[zeros], prior[zeros] = True, 1 / ZERO
     start = arm
@@ -198,7 +198,7 @@ class _Misfit:
         size = np.linalg.norm(r, axis=1)
         scale = max(1.0, float(np.median(size)))  # what is far off at first weighs less against the prior
         moved = np.concatenate([log(start.base.inv() * arm.base), np.zeros(len(prior) - 12), log(start.tool.inv() * arm.tool)])
-        moved[6:-6:5] = arm.rows[:, 0] - rows[:, 0]
+        moved[6:-6] = (arm.rows - rows).ravel()
         return cls(r, prior * moved, scale, np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))) / scale)
 
     def cost(self, scale: float) -> float:

@@ -1,5 +1,6 @@
 """What the geometry leaves, as a correction over the configuration space: every joint's own profile, as a Fourier series.
 
+Of a slide a metre stands for a radian, and 2 pi metres for a turn.
 A joint's real angle differs from its command by gears, encoder and the load that its posture brings. The summand
 rho_j(q) = commanded - effective is a series in the joint's own angle, as fine as the poses can tell (an encoder's error has tens of
 waves a turn), and, more weakly, in its neighbours'. How large each octave of waves is, is found by the evidence, and one that does

@@ -14,6 +14,8 @@ from calib.certify.held_out import errors_of
 from calib.report import before_after, coverage, origin, page, table, worth
 from calib.samples import Samples
 from calib.workspace.drawing import section
+from rig import mechanisms
+from rig.effects.covariate import DRAWN
 from rig.recording import Recording
 
 
@@ -52,12 +54,14 @@ def _figures(f: Figures) -> list[str]:
 def _profiles(calibration: Calibration, samples: Samples) -> Figure:
     q = samples.commanded
     rho = calibration.correction.rho(q)
-    count = q.shape[1]
+    count, nominal = q.shape[1], calibration.correction.nominal
+    places, units = mechanisms.places(nominal), mechanisms.units(nominal)
     figure = Figure(figsize=(11, 2.4 * -(-count // 3)), layout="constrained")
     for i in range(count):
         axes = figure.add_subplot(-(-count // 3), 3, i + 1)
-        axes.plot(np.degrees(q[:, i]), rho[:, i] * 1e3, ".", ms=2)
-        axes.set(title=f"joint {i + 1}", xlabel="commanded, degrees", ylabel="correction, mrad")
+        scale, unit = DRAWN[units[i]]
+        axes.plot(q[:, i] * scale, rho[:, i] * 1e3, ".", ms=2)
+        axes.set(title=places[i], xlabel=f"commanded, {unit}", ylabel=f"correction, m{units[i]}")
     return figure
 
 

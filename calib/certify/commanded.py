@@ -43,9 +43,9 @@ def pace_of(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) ->
     """Pace of poses held at times t (n,) s: half the axes' top speed, where that is known, as plans go; the axes stand at the start from where
     the sensors' log begins, so that a warm-up counts from there."""
     top = calibration.physics.actuator.max_speed if calibration.physics is not None else None
-    unit = mechanisms.of(calibration.correction.nominal).UNIT
+    unstated = min(UNSTATED_SPEED[unit] for unit in mechanisms.units(calibration.correction.nominal))
     begin = float(sensors.t[0]) if sensors is not None and len(sensors.t) > 1 else None
-    return Pace(t, begin, SPEED * top if top else UNSTATED_SPEED[unit], top)
+    return Pace(t, begin, SPEED * top if top else unstated, top)
 
 
 def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace: Pace | None = None, sensors: Sensors | None = None,

@@ -50,7 +50,7 @@ def iso230(correction: Correction, poses: HeldPoses) -> tuple[AxisTest, ...]:
     out = []
     for axis, name in enumerate(mechanisms.places(mechanism)):
         rows = np.flatnonzero(alone & poses.step[:, axis])
-        found = _test(name, mechanisms.of(mechanism).UNIT, poses, rows, axis, deviation[:, axis], float(noise[:, axis].mean()))
+        found = _test(name, mechanisms.units(mechanism)[axis], poses, rows, axis, deviation[:, axis], float(noise[:, axis].mean()))
         if found is not None:
             out.append(found)
     return tuple(out)

@@ -124,15 +124,16 @@ class Correction(Generic[M, R]):
 
 def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
-    name, scale, unit = ("joint", np.degrees(1.0), "degrees") if mechanism.kind == "arm" else ("strut", 1e3, "mm")
+    places = mechanisms.places(mechanism)
+    shown = [(1e3, "mm") if unit == "m" else (float(np.degrees(1.0)), "degrees") for unit in mechanisms.units(mechanism)]
     beyond = mechanisms.of(mechanism).limits(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):
         return
     lines = []
     for i in bad.tolist():
-        axes = [f"{name} {j + 1} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
-                f"{'below' if beyond[i, j] < 0 else 'above'} its range" for j in np.flatnonzero(beyond[i])]
+        axes = [f"{places[j]} at {commands[i, j] * scale:.3f} {unit}, {abs(beyond[i, j]) * scale:.3f} {unit} "
+                f"{'below' if beyond[i, j] < 0 else 'above'} its range" for j in np.flatnonzero(beyond[i]) for scale, unit in (shown[j],)]
         lines.append(f"{labels[i]}: " + "; ".join(axes))
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.arms import place
+from calib.arms import model, place
 from calib.arms.observations import Observations, of_positions
 from calib.mistakes.rough import placed
 from rig.design import Arm, Instrument
@@ -66,8 +66,8 @@ class Reached:
             found = place.placed(seen, self.arm, free.base == "free", free.tool == "free")
         except RigError:
             return False
-        moved = np.abs(found.rows[1:, 0] - self.arm.rows[1:, 0])  # the first joint's zero is the base's
-        if moved.max() > OTHER * place.ZERO:
+        moved = np.abs(model.zeros(found) - model.zeros(self.arm))[1:]  # the first joint's zero is the base's
+        if moved.max(initial=0.0) > OTHER * place.ZERO:
             return False
         r = seen.residuals(found)
         return bool(np.median(np.linalg.norm(r[:, :3], axis=1)) < AWAY[0] and np.median(np.linalg.norm(r[:, 3:], axis=1)) < AWAY[1])
@@ -128,14 +128,19 @@ def _candidates(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
 
 def _axes(reached: Reached) -> Iterator[tuple[str, str, Reached]]:
     """Joint angles in another unit, with other signs, zeros or in another order."""
-    q, n = reached.q, reached.q.shape[1]
-    yield "commands.csv: joint angles are in degrees", "State them in radians", replace(reached, q=np.radians(q))
-    yield "commands.csv: joint angles are in revolutions", "State them in radians", replace(reached, q=2 * np.pi * q)
+    q, n, slides = reached.q, reached.q.shape[1], reached.arm.slides
+    if not slides.all():
+        yield "commands.csv: joint angles are in degrees", "State them in radians", replace(reached, q=np.where(slides, q, np.radians(q)))
+        yield "commands.csv: joint angles are in revolutions", "State them in radians", replace(reached, q=np.where(slides, q, 2 * np.pi * q))
+    if slides.any():
+        yield "commands.csv: slides are in millimetres", "State them in metres", replace(reached, q=np.where(slides, q / 1e3, q))
     yield "commands.csv: all joints turn the other way (sign)", "Turn their sign", replace(reached, q=-q)
     for j in range(n):
         turned = q.copy()
         turned[:, j] *= -1
         yield f"commands.csv: joint {j + 1} turns the other way (sign)", "Turn its sign", replace(reached, q=turned)
+        if slides[j]:
+            continue
         for by in (90, -90, 180, 45, -45, 30, -30):
             moved = q.copy()
             moved[:, j] += np.radians(by)

@@ -80,8 +80,9 @@ def run(arguments: Namespace) -> None:
             writing.write_poses(expected, recordings.Poses(wanted.poses.frame[keep], wanted.poses.T_base_platform[keep], done.covariance))
         if not (arguments.uncorrected or arguments.single_step):
             _say(calibration, done, done.covariance)
-    print(f"{len(keep)} of {count} poses written to {arguments.out}")
     correction = calibration.correction
+    _say_rest(arguments, calibration, out, (wanted, keep), done)
+    print(f"{len(keep)} of {count} poses written to {arguments.out}")
     field = correction.extension
     if field is not None and not field.inside(done.values).all():
         print(f"{(~field.inside(done.values)).sum()} of them lie beyond the samples of the correction: there it is extrapolated, continuously")
@@ -159,6 +160,34 @@ def _write(out: Path, calibration: Calibration, wanted: Wanted, keep: np.ndarray
         held = doing == HOLDING
         rows.append(",".join([str(frames[pose]) if held else "", wanted.origin.text(t if held else round(t, 6)), *(f"{x:.10f}" for x in lengths)]))
     writing.write_table(out, ("frame", "t", *axes), rows)
+
+
+def _say_rest(arguments: Namespace, calibration: Calibration, out: Path, asked: tuple[Wanted, np.ndarray], done: Commanded) -> None:
+    """Of an arm of fewer than six joints, say what it leaves to the wanted poses, and write beside the commands the poses that it takes instead.
+
+    asked : (Wanted, (n,) which of its poses are commanded)
+    """
+    import numpy as np
+
+    from calib.arms import certify
+    from calib.arms.correction import ArmCorrection
+    from rig import recording as recordings
+    from rig import writing
+
+    correction, (wanted, keep) = calibration.correction, asked
+    if not isinstance(correction, ArmCorrection) or not correction.deficient:
+        return
+    frames, T = wanted.poses.frame[keep], wanted.poses.T_base_platform[keep]
+    rest = correction.rest(T, done.values)
+    place, turn = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
+    print(f"an arm of {len(correction.nominal.joints)} joints cannot make up for every error: what it leaves to the wanted poses is "
+          f"{np.sqrt(np.mean(place**2)):.4f} mm RMS, {place.max():.4f} at the most, and {np.sqrt(np.mean(turn**2)):.4f} mrad RMS, "
+          f"{turn.max():.4f} at the most (frame {frames[int(turn.argmax())]})")
+    beside = arguments.outputs.beside(out, ".poses.csv")
+    if beside is not None:
+        covariance = certify.model_covariance(calibration, done.values)
+        writing.write_poses(beside, recordings.Poses(frames, correction.predict(done.values), covariance))
+        print(f"the poses that it takes instead, with their uncertainty, are in {beside.name}")
 
 
 def _say(calibration: Calibration, done: Commanded, covariance: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""rig design --radius R --out rig.toml."""
+"""rig design --radius R --out rig.toml, or rig design --arm NAME --out rig.toml."""
 
 
 from argparse import ArgumentParser, Namespace
@@ -8,7 +8,10 @@ from rig.commands.output import add_force, file_or_stdout
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--radius", type=float, required=True, metavar="M", help="of the circle of base joints, m")
+    parser.add_argument("--mechanism", choices=("hexapod", "arm"), help="hexapod (the default), or an arm from the shelf, with --arm")
+    parser.add_argument("--arm", metavar="NAME", help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
+                        "panda, stanford, scara, gantry")
+    parser.add_argument("--radius", type=float, metavar="M", help="of a hexapod's circle of base joints, m")
     parser.add_argument("--cameras", type=int, default=3)
     parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
@@ -24,14 +27,36 @@ def run(arguments: Namespace) -> None:
     import re
 
     from rig.errors import RigError
-    from rig.files import write_text
     from rig.layout import layout
 
+    if arguments.arm is not None or arguments.mechanism == "arm":
+        _shipped(arguments)
+        return
+    if arguments.radius is None:
+        raise RigError("a hexapod takes --radius, an arm --arm")
     size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
     if not size:
         raise RigError(f"--size takes for example 1280x1024, not {arguments.size!r}")
     text = layout(arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name,
                   arguments.limbs)
+    _write(arguments, text)
+
+
+def _shipped(arguments: Namespace) -> None:
+    """Write or print the rig.toml of a shipped arm."""
+    from rig import shelf
+    from rig.errors import RigError
+
+    if arguments.arm is None:
+        raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shelf.names())}")
+    if arguments.mechanism == "hexapod" or arguments.radius is not None:
+        raise RigError("--arm brings its own figures; --mechanism hexapod and --radius are for a hexapod")
+    _write(arguments, shelf.design(arguments.arm))
+
+
+def _write(arguments: Namespace, text: str) -> None:
+    from rig.files import write_text
+
     if arguments.out is None:
         print(text, end="")
         return

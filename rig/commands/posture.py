@@ -86,15 +86,9 @@ def run(arguments: Namespace) -> None:
 
 
 def _arm(text: str) -> Arm:
-    from importlib.resources import files
+    from rig import shelf
 
-    from rig import design_file
-
-    shipped = files("rig") / "arms" / f"{text}.toml"
-    if not Path(text).exists() and not shipped.is_file() and not Path(text).suffix:
-        names = sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
-        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names)}")
-    mechanism = design_file.load(str(shipped) if not Path(text).exists() and shipped.is_file() else text).mechanism
+    mechanism = shelf.load(text).mechanism
     if mechanism.kind != "arm":
         raise RigError(f"{text} has a mechanism of kind {mechanism.kind!r}; postures are for arms")
     return mechanism

@@ -23,7 +23,7 @@ from rig.effects.parameter import Parameter
 from rig.errors import RigError
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
-AXES = ("strut", "joint")  # what "axis" stands for among an effect's places
+AXES = ("strut", "joint", "slide")  # what "axis" stands for among an effect's places
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
@@ -33,7 +33,7 @@ class Effect:
     """Base of all effects.
 
     name, stage; places : kinds of place it can sit at ("axis": a strut or a joint); parameters; experiment : what would expose it
-    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands for strut or joint in all
+    joint_experiment : the same of a joint, where it differs; action : what an owner can do about it; "{axis}" stands for strut, joint or slide in all
     on_pose : its deviation depends on the pose; sudden : it happens at one time, and may be over soon
     discrete : found by looking at what corners were set aside, not by its derivative; moving : shows only in exposures on the way
     rolls : rows of an image are exposed one after the other
@@ -124,8 +124,8 @@ class Effect:
 
     def covariate(self, motion: Motion) -> Covariate:
         """What the residuals of the axes show it against; by default what the model itself says."""
-        unit = "µm" if motion.kind.UNIT == "m" else "µrad"
-        return Covariate(self.deviation(motion) * 1e6, f"what the model says, {unit}")
+        words = " or ".join(dict.fromkeys(f"µ{unit}" for unit in motion.units))
+        return Covariate(self.deviation(motion) * 1e6, f"what the model says, {words}")
 
     def direction(self, motion: Motion) -> np.ndarray | None:
         """(n, 6) tangents along which the residuals show it; None where each axis shows it for itself."""
@@ -245,7 +245,7 @@ class Effect:
     def experiment_at(cls, place: str) -> str:
         """What would expose it at a place, in words."""
         joint = place.startswith("joint")
-        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis="joint" if joint else "strut")
+        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis=_word(place))
 
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
@@ -256,7 +256,7 @@ class Effect:
     @classmethod
     def action_at(cls, place: str) -> str:
         """What an owner can do about it at a place, in a sentence."""
-        return cls.action.format(axis="joint" if place.startswith("joint") else "strut")
+        return cls.action.format(axis=_word(place))
 
     @classmethod
     def label(cls) -> str:
@@ -273,7 +273,7 @@ class Effect:
 
     def at(self, kind: str) -> bool:
         """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
-        whole = {"strut": "rig", "joint": "rig", "camera": "cameras", "marker": "markers"}
+        whole = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}
         return self.place == kind or self.place == whole.get(kind.split(" ")[0])
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
@@ -281,6 +281,12 @@ class Effect:
         if self.place.split(" ")[0] in AXES and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
         return np.array([float(self.at(place)) for place in places])
+
+
+def _word(place: str) -> str:
+    """What the axis of a place is called: "strut", "joint" or "slide"."""
+    word = place.split(" ")[0]
+    return word if word in AXES else "strut"
 
 
 __all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",

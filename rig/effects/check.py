@@ -17,7 +17,7 @@ def check(effect: Effect) -> Effect:
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
     number = "[1-9][0-9]{0,8}"
-    name = {"strut": number, "joint": number, "marker": f"0|{number}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
+    name = {**dict.fromkeys(AXES, number), "marker": f"0|{number}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
     if name is not None and not re.fullmatch(f"{kind} (?:{name})", effect.place) or name is None and kind != effect.place:
         raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
     for parameter in effect.parameters_at(effect.place):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from rig.effects.base import Candidate, Context, Effect, Linear, Motion, Parameter
-from rig.effects.covariate import Covariate
+from rig.effects.covariate import Covariate, load
 from rig.effects.drawing import Drawing, log_uniform, value
 from rig.errors import RigError
 
@@ -58,8 +58,7 @@ class Compliance(Effect):
     def covariate(self, motion: Motion) -> Covariate:
         if self.moments:
             return super(Compliance, self).covariate(motion)
-        kind = motion.kind
-        return Covariate(motion.loads(), f"{'force' if kind.LOAD == 'N' else 'torque'}, {kind.LOAD} (positive: the {kind.AXIS} pushes)")
+        return load(motion.loads(), motion, "{unit} (positive: the {axis} pushes)")
 
     def fitted(self, parameter: Parameter) -> tuple[int | None, ...]:
         if self.moments:
@@ -70,7 +69,8 @@ class Compliance(Effect):
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
         turn = values.get("rms", 0.0)
         if turn > GIVES:
-            return (f"{place} would turn by {turn * 1e3:.2g} mrad RMS under its load, ten times what gears and bearings give: something else may "
+            words = f"turn by {turn * 1e3:.2g} mrad" if place.startswith("joint") else f"move by {turn * 1e3:.2g} mm"
+            return (f"{place} would {words} RMS under its load, ten times what gears and bearings give: something else may "
                     "hide behind it")
         return super(Compliance, cls).unusual(place, values)
 

@@ -19,8 +19,17 @@ class Covariate:
 
 def travel(values: np.ndarray, motion: Motion, what: str, per: str = "") -> Covariate:
     """Covariate of values (n, axes) in the unit of the axes' travel (m or rad), times what `per` says."""
-    scale, unit = DRAWN[motion.kind.UNIT]
-    return Covariate(values * scale, f"{what}, {unit}{per}")
+    scale = np.array([DRAWN[unit][0] for unit in motion.units])
+    words = " or ".join(dict.fromkeys(DRAWN[unit][1] for unit in motion.units))
+    return Covariate(values * scale, f"{what}, {words}{per}")
+
+
+def load(values: np.ndarray, motion: Motion, what: str) -> Covariate:
+    """Covariate of what the axes bear, values (n, axes) N or N m. what : whose load it is, in words"""
+    kind = motion.kind
+    per = {"m": ("force", "N"), "rad": ("torque", "N m")}
+    names, units = (dict.fromkeys(per[unit][k] for unit in motion.units) for k in (0, 1))
+    return Covariate(values, f"{' or '.join(names)}, {what.format(unit=' or '.join(units), axis=kind.AXIS)}")
 
 
 def in_time(motion: Motion) -> Covariate:

@@ -34,11 +34,12 @@ class CyclicError(Effect):
     own_axis: ClassVar = 2
 
     def needs(self, motion: Motion) -> str | None:
-        return motion.no_turn()
+        return motion.no_turn(self.axes(motion.places))
 
     def angle(self, motion: Motion) -> np.ndarray:
-        """(n, axes) rad that the order multiplies."""
-        return 2 * np.pi * motion.lengths / motion.turn()
+        """(n, axes) rad that the order multiplies; 0 at axes where it does not sit."""
+        sits = self.axes(motion.places) > 0
+        return 2 * np.pi * np.where(sits, motion.lengths, 0.0) / np.where(sits, motion.turn(), 1.0)
 
     def deviation(self, motion: Motion) -> np.ndarray:
         return self.axes(motion.places) * self.amplitude * np.sin(self.order * self.angle(motion) + self.phase)

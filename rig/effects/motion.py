@@ -110,8 +110,13 @@ class Motion:
 
     @property
     def places(self) -> tuple[str, ...]:
-        """The axes' places: "strut 1" .. or "joint 1" .."""
+        """The axes' places: "strut 1" .. or "joint 1" .., of an arm's slides "slide 1" .."""
         return mechanisms.places(self.mechanism)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each axis' travel, "m" or "rad"."""
+        return mechanisms.units(self.mechanism)
 
     @property
     def lengths(self) -> np.ndarray:
@@ -129,17 +134,14 @@ class Motion:
             self.kept[key] = make()
         return self.kept[key]
 
-    def turn(self) -> float:
-        """m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn. Raises RigError where no lead is stated."""
-        if self.kind.UNIT == "rad":
-            return 2 * np.pi
-        if self.actuator.screw_lead is None:
-            raise RigError(f"the model {self.no_turn()}")
-        return self.actuator.screw_lead
+    def turn(self) -> np.ndarray:
+        """(axes,) m or rad of travel for one turn of what drives an axis: the screw's lead, a joint's own turn; NaN where no lead is stated."""
+        lead = np.nan if self.actuator.screw_lead is None else self.actuator.screw_lead
+        return np.array([lead if unit == "m" else 2 * np.pi for unit in self.units])
 
-    def no_turn(self) -> str | None:
-        """Why the travel of one turn is not known, or None."""
-        return "needs [actuator] screw_lead in rig.toml" if self.kind.UNIT == "m" and self.actuator.screw_lead is None else None
+    def no_turn(self, sits: np.ndarray) -> str | None:
+        """Why the travel of one turn is not known of the axes that something sits at (axes,), or None."""
+        return "needs [actuator] screw_lead in rig.toml" if np.isnan(self.turn()[sits > 0]).any() else None
 
     def channel(self, *names: str) -> np.ndarray:
         """(n,) the first of these sensor channels that there is, at the exposures. Raises RigError where the recording lacks them all."""

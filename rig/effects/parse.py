@@ -1,6 +1,7 @@
 """Effects as text: backlash:strut3:gap=40e-6 on a command line, a dict in a truth file."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -118,9 +119,15 @@ def site(text: str, design: Design) -> tuple[str, str]:
 
 
 def placed(effect: Effect, design: Design) -> Effect:
-    """The effect itself. Raises RigError where a design has no such place."""
+    """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no such place."""
     kind, _, name = effect.place.partition(" ")
-    axes = [place.split(" ") for place in mechanisms.places(design.mechanism)]
+    places = mechanisms.places(design.mechanism)
+    if kind == "joint" and f"slide {name}" in places:
+        try:
+            return check(replace(effect, place=f"slide {name}"))
+        except ValueError as error:
+            raise RigError(str(error)) from None
+    axes = [place.split(" ") for place in places]
     there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
              "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
     asked = [(kind, name)] if name and kind in there else []

@@ -31,7 +31,7 @@ class ThermalExpansion(Effect):
         return self._grown(motion)[0]
 
     def sway(self, motion: Motion) -> np.ndarray:
-        return self._grown(motion)[1] if motion.kind.UNIT == "rad" else np.zeros((len(motion.t), 6))
+        return self._grown(motion)[1] if motion.kind.AXIS == "joint" else np.zeros((len(motion.t), 6))
 
     def _grown(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         share = np.zeros(motion.lengths.shape)
@@ -57,4 +57,4 @@ class ThermalExpansion(Effect):
 def _channels(place: str) -> tuple[str, ...]:
     """The channels, any one of which tells an axis' temperature: a strut's is its own, a link's may be the room's."""
     own = f"{place.replace(' ', '')}_temperature_C"
-    return (own, AMBIENT) if place.startswith("joint") else (own,)
+    return (own,) if place.startswith("strut") else (own, AMBIENT)

@@ -1,7 +1,7 @@
-"""An arm as URDF: a chain of revolute joints, every link's transform before its joint.
+"""An arm as URDF: a chain of revolute and prismatic joints, every link's transform before its joint.
 
-A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, so that joint i's origin is what is
-fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are turns about fixed axes x, y, z.
+A = Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) turns about the z of the frame before it, or slides along it, so that joint i's origin is
+what is fixed behind joint i - 1, times Rz(theta). Source: the URDF specification, <joint>; rpy are turns about fixed axes x, y, z.
 """
 
 from xml.sax.saxutils import quoteattr
@@ -22,9 +22,10 @@ def text(arm: Arm, name: str = "arm") -> str:
     links = ["base", *[f"link_{i + 1}" for i in range(len(arm.joints))], "platform"]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>", *[f'  <link name="{link}"/>' for link in links]]
     behind = getattr(arm, "base", identity)
-    for axis, row, (low, high), parent, child in zip(arm.axes, arm.joints, arm.limits, links, links[1:]):
-        theta, d, a, alpha, beta = [*row, 0.0][:5]
-        lines += [f'  <joint name="{axis}" type="revolute">', f'    <parent link="{parent}"/>', f'    <child link="{child}"/>',
+    for i, (axis, (low, high), parent, child) in enumerate(zip(arm.axes, arm.limits, links, links[1:])):
+        theta, d, a, alpha, beta = arm.rows[i]
+        kind = "prismatic" if arm.slides[i] else "revolute"
+        lines += [f'  <joint name="{axis}" type="{kind}">', f'    <parent link="{parent}"/>', f'    <child link="{child}"/>',
                   f"    {_origin(behind * pose([0, 0, 0], [0, 0, theta]))}", '    <axis xyz="0 0 1"/>',
                   f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>', "  </joint>"]
         behind = pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])

@@ -92,7 +92,7 @@ def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design:
 def _size(design: Design) -> float:
     m = design.mechanism
     if m.kind == "arm":
-        return float(np.abs(m.joints[:, 1:3]).sum())
+        return m.size
     return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
 
 

@@ -18,7 +18,16 @@ def of(mechanism: Hexapod | Planar2 | Arm | Free) -> Kind[Any]:
 
 
 def places(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
-    """The places of a mechanism's axes: "strut 1" .. or "joint 1" ..; none for what nobody commands."""
+    """The places of a mechanism's axes: "strut 1" .. or "joint 1" .., an arm's prismatic joint "slide 3"; none for what nobody commands."""
     if not mechanism.axes:
         return ()
-    return tuple(f"{of(mechanism).AXIS} {i + 1}" for i in range(len(mechanism.axes)))
+    words = ["slide" if slide else arm.AXIS for slide in mechanism.slides] if isinstance(mechanism, Arm) else \
+        [of(mechanism).AXIS] * len(mechanism.axes)
+    return tuple(f"{word} {i + 1}" for i, word in enumerate(words))
+
+
+def units(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
+    """Unit of each axis' travel, "m" or "rad"; none for what nobody commands."""
+    if not mechanism.axes:
+        return ()
+    return mechanism.units if isinstance(mechanism, Arm) else (of(mechanism).UNIT,) * len(mechanism.axes)

@@ -1,6 +1,6 @@
-"""Joint torques of an arm's own weight and motion: recursive Newton-Euler, in the axes of poses, batched.
+"""Joint torques, and forces of slides, of an arm's own weight and motion: recursive Newton-Euler, in the axes of poses, batched.
 
-Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980.
+Source: Luh, Walker and Paul, On-line computational scheme for mechanical manipulators, 1980 (sliding joints: there too).
 """
 
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ class Links:
 
 
 def torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm, links: Links, gravity: np.ndarray) -> np.ndarray:
-    """(..., n) Nm that the joints bear for weight and motion alone: nothing touches the hand.
+    """(..., n) Nm, of slides N, that the joints bear for weight and motion alone: nothing touches the hand.
 
-    q : (..., n) rad; speed, acceleration : (..., n) rad/s, rad/s^2; gravity : (3,) m/s^2 in the axes of poses
+    q : (..., n) rad, of slides m; speed, acceleration : (..., n) of these per s and s^2; gravity : (3,) m/s^2 in the axes of poses
     """
     chain = mechanism.frames(q, arm)
     speed, acceleration = np.broadcast_to(speed, np.shape(q)), np.broadcast_to(acceleration, np.shape(q))
@@ -43,9 +43,12 @@ def torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm
     push, turn = [], []
     for k in range(n):
         axis, rate = z[..., k, :], speed[..., k, None]
-        dw = dw + axis * acceleration[..., k, None] + np.cross(w, axis * rate)
-        w = w + axis * rate
         to_centre, to_next = centre[..., k, :] - o[..., k, :], o[..., k + 1, :] - o[..., k, :]
+        if arm.slides[k]:
+            a = a + axis * acceleration[..., k, None] + 2 * np.cross(w, axis * rate)
+        else:
+            dw = dw + axis * acceleration[..., k, None] + np.cross(w, axis * rate)
+            w = w + axis * rate
         push.append(links.mass[k] * (a + np.cross(dw, to_centre) + np.cross(w, np.cross(w, to_centre))))
         spin = np.einsum("...ij,...j->...i", inertia[..., k, :, :], w)
         turn.append(np.einsum("...ij,...j->...i", inertia[..., k, :, :], dw) + np.cross(w, spin))
@@ -54,5 +57,5 @@ def torques(q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, arm: Arm
     for k in range(n - 1, -1, -1):
         moment = moment + turn[k] + np.cross(centre[..., k, :] - o[..., k, :], push[k]) + np.cross(o[..., k + 1, :] - o[..., k, :], force)
         force = force + push[k]
-        out[..., k] = np.einsum("...i,...i->...", z[..., k, :], moment)
+        out[..., k] = np.einsum("...i,...i->...", z[..., k, :], force if arm.slides[k] else moment)
     return out

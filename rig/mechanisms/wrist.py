@@ -65,6 +65,8 @@ def six(arm: Arm) -> SixR:
     """SixR of an Arm. Raises RigError, with what misses by how much, for one that has no closed form here."""
     if len(arm.joints) != 6:
         raise RigError(f"the closed form is for six joints, not {len(arm.joints)}")
+    if arm.slides.any():
+        raise RigError(f"the closed form is for joints that turn, and joint {np.flatnonzero(arm.slides)[0] + 1} slides")
     chain = mechanism.frames(np.zeros(6), arm)
     o, u = chain[:6, :3, 3], chain[:6, :3, 2]
     turned = np.linalg.norm(np.cross(u[0], u[1]))

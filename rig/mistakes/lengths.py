@@ -18,7 +18,8 @@ def commands(commands: Commands, design: Design) -> Iterator[Mistake]:
     """How commanded values (n, axes) lie to what the machine can do."""
     m = design.mechanism
     if m.kind == "arm":
-        yield from _angles(commands.values, m.limits)
+        yield from _angles(commands.values[:, ~m.slides], m.limits[~m.slides])
+        yield from _slides(commands.values[:, m.slides], m.limits[m.slides])
     elif m.kind in ("hexapod", "planar2"):
         home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
         yield from _lengths(commands.values, m.strut_range, home)
@@ -74,7 +75,22 @@ def _lengths(q: np.ndarray, ranges: np.ndarray, home: np.ndarray) -> Iterator[Mi
                       0.3)
 
 
+def _slides(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+    """What an arm's slides (n, k) are commanded beyond their limits (k, 2) m."""
+    if not q.size or (outside := _beyond(q, limits)) == 0:
+        return
+    said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} m"
+    for unit, per_metre in UNITS.items():
+        if _beyond(q / per_metre, limits) <= outside / 4:
+            yield Mistake(f"commands.csv: slides are in {unit}: {said}", f"Divide them by {per_metre:.6g}; slides are in metres", True, 0.95)
+            return
+    yield Mistake(f"commands.csv: {outside:.1%} of the slides' positions lie outside the limits: {said}", "Look at their unit, zeros and limits",
+                  outside > MUCH, 0.5 if outside > MUCH else 0.3)
+
+
 def _angles(q: np.ndarray, limits: np.ndarray) -> Iterator[Mistake]:
+    if not q.size:
+        return
     outside = _beyond(q, limits)
     said = f"{q.min():.6g} to {q.max():.6g}, where rig.toml's limits are {limits.min():.6g} to {limits.max():.6g} rad"
     if outside > 0 and _beyond(np.radians(q), limits) <= outside / 4 and np.abs(q).max() > 2.5 * np.pi:

@@ -51,7 +51,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     m = design_file.load(folder / "rig.toml").mechanism
     if isinstance(m, Free):  # moved by hand: nothing is known of its size
         return
-    size = float(np.abs(m.joints[:, 1:3]).sum() if m.kind == "arm" else m.strut_range.max())
+    size = m.size if m.kind == "arm" else float(m.strut_range.max())
     p = table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
     unit, per = min((("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1])))

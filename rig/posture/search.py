@@ -198,7 +198,7 @@ def bring_back(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.nda
         e = _error(chain[:, -1], target, held)
         if np.abs(e).max(initial=0) < 0.1 * STILL:
             break
-        J = mechanism.geometric(chain, "base")[:, : HELD[held]]
+        J = mechanism.geometric(chain, "base", arm.slides)[:, : HELD[held]]
         T = np.swapaxes(J, 1, 2)
         q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(HELD[held]), e[..., None]))[..., 0]
     return q

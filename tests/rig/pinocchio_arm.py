@@ -1,4 +1,4 @@
-"""The same arm in an outside library: joints about z, links and ends as fixed placements."""
+"""The same arm in an outside library: joints about and along z, links and ends as fixed placements."""
 
 import numpy as np
 import pinocchio
@@ -11,7 +11,8 @@ def build(arm):
     parent, placement = 0, _se3(arm.base.as_matrix())
     for i, (theta, d, a, alpha, beta) in enumerate(arm.rows):
         placement = placement * pinocchio.SE3(pinocchio.utils.rotate("z", theta), np.array([0, 0, d]))
-        parent = model.addJoint(parent, pinocchio.JointModelRZ(), placement, f"q{i + 1}")
+        joint = pinocchio.JointModelPZ() if arm.slides[i] else pinocchio.JointModelRZ()
+        parent = model.addJoint(parent, joint, placement, f"q{i + 1}")
         placement = pinocchio.SE3(pinocchio.utils.rotate("x", alpha) @ pinocchio.utils.rotate("y", beta), np.array([a, 0.0, 0.0]))
     return model, placement * _se3(arm.tool.as_matrix())
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig import design_file
+from rig import design_file, mechanisms
 from rig.errors import FileError
 from rig.pose import difference, exp
 from rig.toml_positions import positions
@@ -99,7 +99,12 @@ def test_other_kinds_are_read(tmp_path):
 @pytest.mark.parametrize("edit, says", [
     (("limits = [[-6, 6]]", "limits = [[6, -6]]"), "small to large"),
     (("[0, 0.1, 0, 1.57]", "[0, 127.3, 0, 1.57]"), "millimetres"),
-    (("[0, 0.1, 0, 1.57]", "[0, 0.1, 0]"), "4 numbers, got 3"),
+    (("[0, 0.1, 0, 1.57]", "[0, 0.1, 0]"), "4 numbers, .*got 3"),
+    (("[0, 0.1, 0, 1.57]", '["prismatik", 0, 0.1, 0, 1.57]'), "'prismatik'; is 'prismatic' meant"),
+    (("[0, 0.1, 0, 1.57]", '["prismatic", 0, 0.1, 0]'), "4 numbers, .*got 3"),
+    (("[0, 0.1, 0, 1.57]", '["prismatic", 0, 127.3, 0, 1.57]'), "millimetres"),
+    (("[0, 0.1, 0, 1.57]]\nlimits = [[-6, 6]]", '["prismatic", 0, 0.1, 0, 1.57]]\nlimits = [[0, 600]]'), "millimetres"),
+    (("[0, 0.1, 0, 1.57]", '[0, "prismatic", 0.1, 0]'), "must be a number"),
 ])
 def test_an_arms_faults_name_their_place(tmp_path, edit, says):
     text = 'schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [[0, 0.1, 0, 1.57]]\nlimits = [[-6, 6]]\n'
@@ -158,3 +163,12 @@ def test_similar_hexagons_are_said_to_be_what_they_are(tmp_path, turns, says):
         return
     with pytest.raises(FileError, match=says):
         design_file.load(path)
+
+
+def test_rows_say_which_joints_slide(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text('schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [["revolute", 0, 0.1, 0, 1.57], ["prismatic", 0.1, 0.2, 0, 0],\n'
+                    '          [0.2, 0, 0.3, 0]]\nlimits = [[-6, 6], [0, 0.5], [-1, 1]]\n')
+    arm = design_file.load(path).mechanism
+    assert arm.slides.tolist() == [False, True, False] and arm.units == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
+    assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.places(arm) == ("joint 1", "slide 2", "joint 3")

@@ -15,9 +15,11 @@ from rig.design import Arm, Hexapod
 from rig.effects.parse import parse
 from rig.errors import RigError
 from rig.export import genhexkins, geometry, urdf
+from rig.mechanisms import arm as serial
 from rig.mechanisms import hexapod
 from rig.pose import difference, pose
 from synthetic import world
+from tests.rig.arms import GANTRY, STANFORD
 from tests.rig.genhexkins import forward, settings
 
 
@@ -78,6 +80,13 @@ ARMS = {
 }
 
 
+@pytest.mark.parametrize("arm", [STANFORD, GANTRY], ids=["stanford", "gantry"])
+def test_urdf_of_an_arm_with_slides_is_the_same_chain(arm):
+    for q in np.random.default_rng(0).uniform(*arm.limits.T, (20, len(arm.joints))):
+        T = driven(urdf.text(arm), dict(zip(arm.axes, q)))
+        np.testing.assert_allclose(T.as_matrix(), serial.forward(q, arm).as_matrix(), atol=1e-12)
+
+
 @pytest.mark.parametrize("rows", ARMS.values(), ids=ARMS)
 def test_urdf_is_the_same_chain(rows):
     arm = Arm(rows, [[-3, 3]] * len(rows))
@@ -100,6 +109,8 @@ def driven(text, angles):
         if joint.get("type") == "revolute":
             axis = np.array(joint.find("axis").get("xyz").split(), float)
             T = T * pose([0, 0, 0], axis * angles[joint.get("name")])
+        elif joint.get("type") == "prismatic":
+            T = T * pose(np.array(joint.find("axis").get("xyz").split(), float) * angles[joint.get("name")], [0, 0, 0])
         link = joint.find("child").get("link")
     return T
 

@@ -107,12 +107,13 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     sigma = Z95 * np.sqrt(np.diag(covariance))
     effect = candidate.effect(one.node, theta)
     spec = next(s for s in candidate.specs if len(s.linear) == len(theta) or not s.linear)
+    unit = unit_at(d, candidate.joint)
     if len(theta) > 1:  # a curve, or a load's moments: what it comes to first, then the numbers
         name = spec.linear[0].name
         level = theta - theta.mean() if candidate.form is Form.PROFILE else theta
-        out = {"rms": _scaled(fit.part(number), theta, covariance, one, "rad"),
+        out = {"rms": _scaled(fit.part(number), theta, covariance, one, unit),
                name: Value(level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()])}
-        return out | ({SPAN: Value(list(one.node[SPAN]), "rad")} if SPAN in one.node else {})
+        return out | ({SPAN: Value(list(one.node[SPAN]), unit)} if SPAN in one.node else {})
     name = spec.linear[0].name if spec.linear else candidate.sought
     value = float(theta[0])
     out = {name: Value(value, units[name], [value - float(sigma[0]), value + float(sigma[0])])}
@@ -122,6 +123,11 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
     return out | {key: moment(d.arms.t, v, d.origin, moments(fit, number, finding.score.dispersion)) if roles[key] == "moment"
                   else Value(v, units[key], [max(v - spread[key], bounds[key][0]), min(v + spread[key], bounds[key][1])] if key in spread else None)
                   for key, v in one.node.items() if key in units and key != name}
+
+
+def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
+    """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
+    return "rad" if joint is None else d.arm.units[joint]
 
 
 def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:
@@ -153,7 +159,7 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
     sigma = np.sqrt([along @ covariance @ along, across @ covariance @ across / amplitude**2, variance])
     values = (amplitude, float(np.arctan2(theta[1], theta[0])), order)
     return {key: Value(float(v), unit, [float(v - Z95 * s), float(v + Z95 * s)])
-            for key, v, s, unit in zip(("amplitude", "phase", name), values, sigma, ("rad", "rad", ""))}
+            for key, v, s, unit in zip(("amplitude", "phase", name), values, sigma, (unit_at(d, candidate.joint), "rad", ""))}
 
 
 def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
+from rig import mechanisms
 from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 
@@ -12,7 +13,7 @@ QUIET, MARKED = "0.6", "crimson"
 
 
 def picture(arm: Arm, q: np.ndarray, moved: dict[int, dict[str, float]]) -> Figure:
-    """Figure of an Arm over its configurations q (n, joints) rad; moved : {joint: {effect: RMS in rad}} of what was found there."""
+    """Figure of an Arm over its configurations q (n, joints) rad or m; moved : {joint: {effect: RMS in rad or, of a slide, m}} of what was found."""
     chain = mechanism.frames(q, arm)[..., :3, 3]
     base = chain[0, 0]
     turn = arm.base.rotation.as_matrix()  # seen in the arm's own base, whatever stands where
@@ -32,7 +33,8 @@ def picture(arm: Arm, q: np.ndarray, moved: dict[int, dict[str, float]]) -> Figu
             axes.annotate(str(j + 1), (points[j, a], points[j, b]), ha="center", va="center", color="white", fontsize=8, zorder=4)
         axes.set(title=title, xlabel="m", ylabel="m")
         axes.set_aspect("equal", adjustable="box")
-    lines = [f"joint {j + 1}: " + ",\n    ".join(f"{name} {size * 1e3:.3f} mrad" for name, size in moved[j].items()) for j in sorted(moved)]
+    places, units = mechanisms.places(arm), mechanisms.units(arm)
+    lines = [f"{places[j]}: " + ",\n    ".join(f"{name} {size * 1e3:.3f} m{units[j]}" for name, size in moved[j].items()) for j in sorted(moved)]
     words.text(0, 1, "\n".join(lines) or "nothing was found", transform=words.transAxes, va="top", fontsize=9, color=MARKED if lines else QUIET)
     words.axis("off")
     return figure

@@ -54,7 +54,7 @@ class ArmView:
         covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
-        return scatter(x[fit.used], covariate.label, both, f"joint {joint + 1}, µrad")
+        return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{d.arm.units[joint]}")
 
     def remaining(self, unknown: list[FindingEntry]) -> list[Part]:
         """Held-out errors, before and after, pose by pose and in a table."""

@@ -89,11 +89,6 @@ def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], li
     return out, [s for s in skipped if asked.name(s.effect)]
 
 
-def place_of(joint: int) -> str:
-    """"joint 1".."""
-    return f"joint {joint + 1}"
-
-
 def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCandidate]:
     """The candidates of an effect at a place; its curves of more and fewer numbers are one."""
     if not specs:

@@ -3,7 +3,6 @@
 import numpy as np
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
-from calib.diagnose.problems.arm.candidates import place_of
 from calib.diagnose.problems.arm.fit import Fit
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.arm.repeats import Repeats
@@ -21,11 +20,12 @@ def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1) -> lis
     again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
     """
     arms, found = fit.arms, []
+    moved = arms.context.moved()
     for j in range(arms.q.shape[1]):
         products = joint_products(fit, j)
         information = float(products.gamma.sum())
         for depends, basis in _bases(arms, j):
-            test = Test(place_of(j), "rad", (depends,), basis[fit.used][:, None, :], information, PRIOR)
+            test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
             found.append(tested(fit.linear, products, test, cluster))
     out = sorted(convincing(found), key=lambda u: -u.delta_chi2)
     return [*out, *_scatter(fit, again)]
