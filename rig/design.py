@@ -103,21 +103,8 @@ class Arm:
         if self.joints.shape[1] not in (4, 5):
             raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
         _set(self, "limits", (len(self.joints), 2))
-        slides = np.array(self.slides, bool) if np.size(self.slides) else np.zeros(len(self.joints), bool)
-        if slides.shape != (len(self.joints),):
-            raise ValueError(f"slides: expected shape {(len(self.joints),)}, got {slides.shape}")
-        slides.setflags(write=False)
-        object.__setattr__(self, "slides", slides)
-
-    @property
-    def size(self) -> float:
-        """m, how far links and slides reach at the most."""
-        return float(np.abs(self.joints[:, 1:3]).sum() + np.abs(self.limits[self.slides]).max(axis=1).sum())
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each joint's travel, "rad" or, of a slide, "m"."""
-        return tuple("m" if slide else "rad" for slide in self.slides)
+        slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
+        object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
 
     @property
     def rows(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
 from rig.importing.dialect import Cells, read
 from rig.importing.recipe import EULER, ForeignTable
-from rig.mechanisms import hexapod
+from rig.mechanisms import arm, hexapod
 
 POSITION = {"x": ("x", "tx", "px", "posx", "positionx", "xpos"), "y": ("y", "ty", "py", "posy", "positiony", "ypos"),
             "z": ("z", "tz", "pz", "posz", "positionz", "zpos")}
@@ -92,7 +92,7 @@ def _positions(cells: Cells, found: dict[str, int], table: ForeignTable, design:
 def _size(design: Design) -> float:
     m = design.mechanism
     if m.kind == "arm":
-        return m.size
+        return arm.span(m)
     return float(m.strut_range.max()) if m.kind in ("hexapod", "planar2") else 0.5
 
 

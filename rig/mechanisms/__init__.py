@@ -30,4 +30,5 @@ def units(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
     """Unit of each axis' travel, "m" or "rad"; none for what nobody commands."""
     if not mechanism.axes:
         return ()
-    return mechanism.units if isinstance(mechanism, Arm) else (of(mechanism).UNIT,) * len(mechanism.axes)
+    return tuple("m" if slide else arm.UNIT for slide in mechanism.slides) if isinstance(mechanism, Arm) else \
+        (of(mechanism).UNIT,) * len(mechanism.axes)

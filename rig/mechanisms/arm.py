@@ -103,6 +103,11 @@ def home(arm: Arm) -> np.ndarray:
     return np.zeros(len(arm.joints))
 
 
+def span(arm: Arm) -> float:
+    """m, how far links and slides reach at the most."""
+    return float(np.abs(arm.joints[:, 1:3]).sum() + np.abs(arm.limits[arm.slides]).max(axis=1).sum())
+
+
 def loads(T: RigidTransform, q: np.ndarray, arm: Arm, wrench: np.ndarray) -> np.ndarray:
     """(m, n) N m, of slides N, with which the joints hold a wrench (m, 6) N, N m on the platform at joint values q (m, n) rad or m."""
     return -np.einsum("mij,mi->mj", jacobian(q, arm), wrench)

@@ -10,6 +10,7 @@ import numpy as np
 from rig import design_file, table
 from rig.design import Free
 from rig.errors import FileError, RigError
+from rig.mechanisms import arm
 from rig.mistakes import clocks, stated
 from rig.mistakes.mistake import Mistake, in_order
 
@@ -51,7 +52,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     m = design_file.load(folder / "rig.toml").mechanism
     if isinstance(m, Free):  # moved by hand: nothing is known of its size
         return
-    size = m.size if m.kind == "arm" else float(m.strut_range.max())
+    size = arm.span(m) if m.kind == "arm" else float(m.strut_range.max())
     p = table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))
     spread = float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=1).mean())) / (SPREAD[m.kind] * size)
     unit, per = min((("centimetres", 1e2), ("millimetres", 1e3), ("micrometres", 1e6)), key=lambda one: abs(np.log(spread / one[1])))

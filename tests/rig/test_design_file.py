@@ -170,5 +170,5 @@ def test_rows_say_which_joints_slide(tmp_path):
     path.write_text('schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [["revolute", 0, 0.1, 0, 1.57], ["prismatic", 0.1, 0.2, 0, 0],\n'
                     '          [0.2, 0, 0.3, 0]]\nlimits = [[-6, 6], [0, 0.5], [-1, 1]]\n')
     arm = design_file.load(path).mechanism
-    assert arm.slides.tolist() == [False, True, False] and arm.units == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
+    assert arm.slides.tolist() == [False, True, False] and mechanisms.units(arm) == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
     assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.places(arm) == ("joint 1", "slide 2", "joint 3")

@@ -28,7 +28,7 @@ from calib.diagnose.report.schema import (
     said_of,
     write,
 )
-from rig import machine_file
+from rig import machine_file, mechanisms
 from rig.files import write_text
 from rig.recording import Recording
 
@@ -127,7 +127,7 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
 
 def unit_at(d: ArmDiagnosis, joint: int | None) -> str:
     """Unit, "m" or "rad", of the travel of a joint, by its index; of no one joint's "rad"."""
-    return "rad" if joint is None else d.arm.units[joint]
+    return "rad" if joint is None else mechanisms.units(d.arm)[joint]
 
 
 def _scaled(moved: np.ndarray, theta: np.ndarray, covariance: np.ndarray, one: Term, unit: str) -> Value:

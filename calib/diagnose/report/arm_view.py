@@ -14,6 +14,7 @@ from calib.diagnose.report.drawing import scatter
 from calib.diagnose.report.page import Part
 from calib.diagnose.report.schema import FindingEntry
 from calib.report import table
+from rig import mechanisms
 
 ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
 
@@ -54,7 +55,7 @@ class ArmView:
         covariate = term.candidate.effect(term.node, fit.theta[fit.slices[number]]).covariate(d.arms.context.moved())
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
-        return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{d.arm.units[joint]}")
+        return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.units(d.arm)[joint]}")
 
     def remaining(self, unknown: list[FindingEntry]) -> list[Part]:
         """Held-out errors, before and after, pose by pose and in a table."""
