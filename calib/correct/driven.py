@@ -74,7 +74,7 @@ def held(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.
     failed = np.flatnonzero(worst >= TOLERANCE)
     names = ", ".join(sorted({f"{e.name} at {e.place}" for e in of.effects}))
     raise NotConverged(f"no commands were found for {len(failed)} of {len(worst)} poses, which leave {worst.max():.3g} "
-                       f"{mechanisms.of(of.correction.fitted).UNIT} under {names}", failed, commands[failed], worst[failed])
+                       f"{mechanisms.unit(of.correction.fitted)} under {names}", failed, commands[failed], worst[failed])
 
 
 def memory(of: Machine) -> np.ndarray:

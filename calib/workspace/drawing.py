@@ -59,8 +59,8 @@ SINGULAR = Quantity("singular", "least over greatest singular value of the Jacob
 
 def room(unit: str) -> Quantity:
     """The Quantity of the room to the axes' limits. unit : of an axis, m or rad."""
-    scale, shown = (1e3, "mm") if unit == "m" else (np.degrees(1.0), "degrees")
-    return Quantity("room", f"room to the nearest limit of an axis, {shown}", "gained", _end("room", np.max), lambda value: f"{value * scale:.0f}")
+    scale, shown = words.ROOM.get(unit, (1.0, unit))
+    return Quantity("room", f"room to the nearest limit of an axis, {shown}", "gained", _end("room", np.max), lambda value: f"{value * scale:.3g}")
 
 
 def views(w: Workspace, q: Quantity) -> str:

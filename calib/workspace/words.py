@@ -5,8 +5,11 @@ import numpy as np
 from calib.workspace.cells import SHORT, Workspace
 
 
+ROOM = {"m": (1e3, "mm"), "rad": (180 / np.pi, "degrees")}  # in which room to the limits is shown
+
+
 def lines(w: Workspace, unit: str) -> list[str]:
-    """Lines on a Workspace: lost and gained, the room, singularities, the bound. unit : of an axis, m or rad."""
+    """Lines on a Workspace: lost and gained, the room, singularities, the bound. unit : of the axes, m, rad or rad or m."""
     first = SHORT if w.lost is None or w.gained is None else (
         f"{w.lost * 100:.2f} % of the poses that the owner's model reaches are lost, {w.gained * 100:.2f} % of those that the corrected machine "
         f"reaches are gained ({w.drawn} configurations of each, all over the strokes, all axes free of each other)")
@@ -14,7 +17,7 @@ def lines(w: Workspace, unit: str) -> list[str]:
     out = [f"workspace: {first}", f"in {known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} um and "
            f"{_span(w.bound[known, 1] * 1e6)} urad, singular values from {np.nanmin(w.singular):.3f} of the greatest"]
     if inner.any():
-        scale, shown = (1e3, "mm") if unit == "m" else (np.degrees(1.0), "degrees")
+        scale, shown = ROOM.get(unit, (1.0, unit))
         out.append(f"{inner.sum()} cells have room to all limits, up to {np.nanmax(w.room) * scale:.4g} {shown}")
     return out
 

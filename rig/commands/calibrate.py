@@ -271,7 +271,7 @@ def _say_workspace(calibration: Calibration) -> None:
     from rig import mechanisms
 
     if calibration.workspace is not None:
-        print(lines(calibration.workspace, mechanisms.of(calibration.correction.nominal).UNIT)[0])
+        print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
 
 
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,

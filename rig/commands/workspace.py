@@ -42,7 +42,7 @@ def run(arguments: Namespace) -> None:
     w, correction = calibration.workspace, calibration.correction
     assert w is not None
     certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
-    unit = mechanisms.of(correction.nominal).UNIT
+    unit = mechanisms.unit(correction.nominal)
     print("\n".join(words.lines(w, unit)))
     if certified is not None:
         print(words.certified_line(w, certified))

@@ -26,6 +26,11 @@ def places(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
     return tuple(f"{word} {i + 1}" for i, word in enumerate(words))
 
 
+def unit(mechanism: Hexapod | Planar2 | Arm | Free) -> str:
+    """Unit of the axes' travel, "m" or "rad", of an arm that has both "rad or m"."""
+    return " or ".join(dict.fromkeys(sorted(units(mechanism), reverse=True)))
+
+
 def units(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
     """Unit of each axis' travel, "m" or "rad"; none for what nobody commands."""
     if not mechanism.axes:
