@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,12 +19,15 @@ UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None."""
+    """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
+    files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see rig.provenance)"""
 
     samples: Samples
     source: str
     measurement: Measurement | None
     collected: Collected | None
+    files: tuple[Path, ...] = ()
+    data: tuple[str, ...] = ()
 
 
 def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "lenses"), progress: Callable[[str, int, int], None] | None = None,

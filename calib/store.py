@@ -50,17 +50,19 @@ _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,
 NOT_HELD_OUT = HeldOut(_NONE, _NONE, (math.nan,) * 2, (math.nan,) * 3, 0)  # keeps the file's shape where nothing was held out
 
 
-def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool) -> dict[str, Any]:
+def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_images: bool, beside: Iterable[Path] = (),
+               data: Iterable[str] = ()) -> dict[str, Any]:
     """dict of the inputs' SHA-256, the marks of their data (see rig.provenance), versions, arguments and seed.
 
-    recording : Recording; used_images : whether they were read
+    recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of theirs
     """
     folder = recording.folder
     files = {name: _hash([folder / name]) for name in sorted(os.listdir(folder)) if name.endswith((".toml", ".csv"))}
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
-    return {"recording": folder.resolve().name, "inputs_sha256": files, "data": flat(marks(recording)),
+    files.update({Path(path).name: _hash([path]) for path in beside})
+    return {"recording": folder.resolve().name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
             "arguments": list(arguments), "seed": seed,
             "versions": versions(),
             "created": datetime.now(UTC).isoformat(timespec="seconds")}
@@ -122,7 +124,7 @@ def load(path: Path | str) -> Calibration:
     arm = isinstance(correction, ArmCorrection)
     count = len(names(correction.nominal)) if arm else 42
     fit = tree.table("fit")
-    return Calibration(correction, _covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
+    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
                        physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None,
@@ -193,13 +195,13 @@ def _profile_in(table: Entries, axes: int) -> Profile:
     return Profile(table.whole("axis", 0, most=axes - 1), orders, table.array("own", (2 * len(orders),)), table.array("others", (axes, 2)))
 
 
-def _covariance_in(tree: Entries, count: int) -> np.ndarray:
-    """(count, count), symmetric to rounding."""
-    covariance = tree.array("parameter_covariance", (count, count))
+def covariance_in(tree: Entries, count: int, key: str = "parameter_covariance") -> np.ndarray:
+    """(count, count) covariance under a key, symmetric to rounding, in the file's units (m, rad). Raises FileError for what is none."""
+    covariance = tree.array(key, (count, count))
     scale = np.sqrt(np.abs(np.diag(covariance)))
     if (np.diag(covariance) < 0).any() or (np.abs(covariance) > 1.001 * np.outer(scale, scale) + 1e-30).any() or \
             not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-300):
-        tree.fail("parameter_covariance is no covariance", "parameter_covariance")
+        tree.fail(f"{key} is no covariance", key)
     return covariance
 
 

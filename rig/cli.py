@@ -42,7 +42,7 @@ COMMANDS = {
     "status": "What the controller says; nothing moves.",
     "plan": "Which configurations to visit so that what is asked becomes visible.",
     "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",
-    "insitu": "Measuring limbs held against vision; once they pass, the struts learnt from their poses.",
+    "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",

@@ -39,7 +39,19 @@ def masked(recording: Recording, text: str) -> Recording:
     out = np.unique(np.concatenate(gone))
     if len(out) == len(frames):
         raise NotEnoughData(f"--mask leaves none of the {len(frames)} frames of {recording.folder}")
+    return _without(recording, out)
 
+
+def only(recording: Recording, frames: np.ndarray) -> Recording:
+    """The Recording with these frames (f,) alone; what was commanded then stays. Raises NotEnoughData where it has none of them."""
+    every = recording.exposures.times()[0]
+    if not np.isin(every, frames).any():
+        raise NotEnoughData(f"{recording.folder} has none of the {len(frames)} frames that are asked for")
+    return _without(recording, every[~np.isin(every, frames)])
+
+
+def _without(recording: Recording, out: np.ndarray) -> Recording:
+    """The Recording without frames (k,)."""
     seen, corners, poses = recording.exposures, recording.corners, recording.poses
     keep = ~np.isin(seen.frame, out)
     seen = replace(seen, frame=seen.frame[keep], t=seen.t[keep], camera=list(compress(seen.camera, keep)), image=list(compress(seen.image, keep)))

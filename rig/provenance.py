@@ -1,9 +1,9 @@
 """Which data something was learnt from, so that it is neither learnt twice nor held against what came of it.
 
 What one camera saw in one frame is marked by its content: the image file's bytes, the corners found in it (marker, corner, u, v), or, of
-an outside instrument, the pose's numbers. Neither the frame's number, nor its time, nor the camera's name, nor the rest of rig.toml
-is part of a mark: data that are copied, renumbered, cut short or told by another clock are the same data. What occurs twice within
-one recording (a black image, a pose told to few digits) tells it from nothing and is no mark.
+an outside instrument, the pose's numbers; what measuring limbs read at it likewise. Neither the frame's number, nor its time, nor the
+camera's name, nor the rest of rig.toml is part of a mark: data that are copied, renumbered, cut short or told by another clock are the
+same data. What occurs twice within one recording (a black image, a pose told to few digits) tells it from nothing and is no mark.
 
 Marks go on through every step. A folder that `rig measure` made keeps, frame by frame, the marks of what it was measured from, in its
 manifest; so the raw recording is known again in what was measured from it, and the other way round. A calibration and an on-line
@@ -20,7 +20,7 @@ import numpy as np
 from rig.errors import FileError
 from rig.files.made import digest, load
 from rig.pose import vector
-from rig.recording import Recording
+from rig.recording import LIMBS, Recording
 
 LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
 Marks = dict[int, frozenset[str]]  # of each frame that has any
@@ -28,7 +28,7 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 def marks(recording: Recording) -> Marks:
     """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
-    found = [(frame, mark) for part in (_images, _corners, _poses) for frame, mark in part(recording)]
+    found = [(frame, mark) for part in (_images, _corners, _poses, _limbs) for frame, mark in part(recording)]
     often = Counter(mark for _, mark in found)
     out = defaultdict(set)
     for frame, mark in found:
@@ -85,6 +85,16 @@ def _poses(recording: Recording) -> list[tuple[int, str]]:
         return []
     rows = np.atleast_2d(vector(p.T_base_platform))
     return [(frame, _mark("pose", [f"{value:.9f}" for value in row])) for frame, row in zip(p.frame.tolist(), rows)]
+
+
+def _limbs(recording: Recording) -> list[tuple[int, str]]:
+    log = recording.sensors
+    if log is None or set(LIMBS) - set(log.channels):
+        return []
+    frames, t = recording.exposures.times()
+    within = (log.t[0] <= t) & (t <= log.t[-1])
+    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in LIMBS], axis=1)
+    return [(frame, _mark("limbs", [f"{value:.8f}" for value in row])) for frame, row in zip(frames[within].tolist(), lengths)]
 
 
 def _mark(kind: str, content: list) -> str:

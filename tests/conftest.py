@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig import design_file, layout, plan
+from rig import design_file, layout, plan, recording
 from synthetic import simulation, world
 
 ROOT = Path(__file__).parents[1]
@@ -62,3 +62,19 @@ def recording_folder(tmp_path, design, rig_text):
     folder = tmp_path / "rec"
     make_recording(folder, design, rig_text, 3, count=6)
     return folder
+
+
+@pytest.fixture(scope="session")
+def limbed(tmp_path_factory):
+    """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the folder holds a second
+    recording of the same machine, "again", another day."""
+    folder = tmp_path_factory.mktemp("limbs")
+    text = layout.layout(0.3, limbs=True)
+    (folder / "rig.toml").write_text(text)
+    design = design_file.load(folder / "rig.toml")
+    rng = np.random.default_rng(2)
+    machine = world.draw(design, rng)
+    done = simulation.simulate(machine, plan.build(design, "axes:5,sobol:50"), rng)
+    simulation.write(done, folder / "rec", text, rng, noise=0.04)
+    simulation.write(simulation.simulate(machine, plan.build(design, "sobol:40", seed=1), rng), folder / "again", text, rng, noise=0.04)
+    return design, recording.load(folder / "rec"), done

@@ -1,5 +1,8 @@
 """The command line around parameters: plans, exports, poses one at a time, measuring limbs."""
 
+import json
+import shutil
+
 import pytest
 
 from rig import table
@@ -68,15 +71,45 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
     assert "typo.json: no such file" in capsys.readouterr().err
 
 
-def test_measuring_limbs_pass_and_teach(tmp_path, capsys):
-    rig, rec, state = tmp_path / "rig.toml", tmp_path / "rec", tmp_path / "state.json"
-    assert main(["design", "--radius", "0.3", "--limbs", "--out", str(rig)]) == 0
-    assert main(["simulate", str(rig), "--plan", "axes:5,sobol:40", "--out", str(rec)]) == 0
-    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4"]) == 0
+def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsys):
+    rec, again, limbs, state = limbed[1].folder, tmp_path / "again", tmp_path / "limbs.json", tmp_path / "state.json"
+    shutil.copytree(rec.parent / "again", again)
+    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4", "--out", str(limbs)]) == 0
     said = capsys.readouterr().out
-    assert "the measuring limbs pass" in said and "70 poses from the limbs learnt, vision agreed at all of 4 checks" in said and state.exists()
-    assert main(["insitu", str(rec), "--tolerance", "5e-6", "1e-5"]) == 1
-    assert "the measuring limbs do not pass" in capsys.readouterr().out
+    assert "the measuring limbs pass" in said and "verdict accepted" in said and "nothing jumped in 80 poses from measuring limbs" in said
+    assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
+    assert "40 poses from the measuring limbs; vision looked at 4 of them and agrees" in capsys.readouterr().out
+    assert len(table.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
+    assert main(["calibrate", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
+    kept = json.loads((tmp_path / "c.json").read_text())["provenance"]
+    assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(kept["data"])
+    assert main(["online", str(again), "--limbs", str(limbs), "--state", str(state)]) == 0
+    assert "40 poses from measuring limbs, learnt one at a time after 80 before" in capsys.readouterr().out
+    assert main(["online", str(again), "--limbs", str(limbs), "--learner", "drifting", "--state", str(tmp_path / "d.json")]) == 0
+    assert "by drifting (drift 1e-07)" in capsys.readouterr().out
+    rows = [line.split(",") for line in (again / "sensors.csv").read_text().splitlines()]
+    column = rows[0].index("m4")
+    for row in rows[len(rows) // 2 :]:
+        row[column] = f"{float(row[column]) + 3e-5:.8f}" if row[column] else ""
+    (again / "sensors.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "none")]) == 1
+    assert "limb 4 is longer by -" in capsys.readouterr().err and not (tmp_path / "none").exists()
+    assert main(["online", str(again), "--limbs", str(limbs)]) == 1
+    assert "acceptance of these limbs was withdrawn at frame" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command, options, says", [
+    ("online", ["--limbs", "typo.json"], "typo.json: no such file"), ("online", ["--check", "3"], "--check takes"),
+    ("calibrate", ["--limbs", "RIG", "--out", "c.json"], "not valid JSON"), ("online", ["--learner", "forgetting", "--step", "1e-3"], "--step is of"),
+    ("measure", ["--limbs", "RIG", "--places", "free", "--out", "m"], "leave them out with --limbs"),
+    ("online", ["--learner", "drifting", "--drift", "-1"], "--drift: drift is a length"),
+    ("online", ["--learner", "first-order", "--state", "RIG"], "is a file of the recording"),
+])
+def test_limbs_and_learners_that_cannot_be_are_refused(limbed, tmp_path, capsys, monkeypatch, command, options, says):
+    rec = limbed[1].folder
+    monkeypatch.chdir(tmp_path)
+    assert main([command, str(rec), *[str(rec / "rig.toml") if word == "RIG" else word for word in options]]) == 1
+    assert says in capsys.readouterr().err
 
 
 def test_a_rig_without_limbs_says_so(rig_file, tmp_path, capsys):

@@ -6,17 +6,24 @@ import threading
 import numpy as np
 import pytest
 
+from calib.certify import insitu
+from calib.online.limb_live import LimbLive
+from calib.online.limbs_file import Accepted
+from calib.online.watch import Learner
+from rig import design_file, layout
 from rig.cameras.source import Frame
 from rig.clock import SimulatedClock
 from rig.commands.looking import Looking
 from rig.commands.page import Page
 from rig.commands.terminal import Block, Lines, block
 from rig.commands.warming import drawn, warm
-from rig.journal import Departure, Ended, Exposed
+from rig.journal import Departure, Ended, Exposed, Readings
+from rig.mechanisms import hexapod
 from rig.operate import Shot
-from rig.plan import build
+from rig.plan import build, low_discrepancy
+from rig.pose import exp
 from rig.steps import steps
-from vision.reading.live import Live
+from vision.reading.live import Live, told_by_limbs
 from tests.vision.reading.test_watch import sight
 
 
@@ -82,6 +89,57 @@ def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design,
     assert bool(looking.stop()) == stops and len(halts) == stops
     assert shown.closed and {view.seen.sight.frame for view in shown.views if view.seen} == set(range(6))
     assert shown.views[-1].frame == 6 and 0 < max(view.left for view in shown.views if view.left == view.left) < 60
+
+
+class Told:
+    """In place of Live: vision's poses as they truly are, and which frames it looked at."""
+
+    noise = 0.02
+
+    def __init__(self, poses):
+        self.poses, self.looked = poses, []
+
+    def take(self, frame, images, expected):
+        self.looked.append(frame)
+        return told_by_limbs(frame, self.poses[frame], np.diag(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] ** 2))
+
+    def adjust(self):
+        return None
+
+    def close(self):
+        pass
+
+
+def by_limbs(folder, slip, at):
+    """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what was withdrawn)"""
+    (folder / "rig.toml").write_text(layout.layout(0.3, limbs=True))
+    design = design_file.load(folder / "rig.toml")
+    true, nominal, rng = design.mechanism, insitu.stated(design), np.random.default_rng(5)
+    commands = low_discrepancy(true.strut_range, 60, 0.6)
+    poses = hexapod.forward(commands, true)
+    live = Told(poses * exp(np.r_[np.full(3, 4e-6), np.full(3, 2e-5)] * rng.normal(size=(60, 6))))
+    clock, withdrawn, planned = SimulatedClock(), [], steps(build(design, "sobol:6"))
+    agreement = insitu.agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
+    accepted = Accepted(insitu.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
+    looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), frozenset(), lambda: None)
+    looking.source, looking.withdraw = LimbLive(accepted, 10), lambda source, frame, reason: withdrawn.append((frame, reason))
+    for frame, (command, read) in enumerate(zip(commands, hexapod.inverse(poses, nominal))):
+        read = read + 1e-6 * rng.normal(size=6) - slip * (frame >= at) * np.eye(6)[4]
+        looking.happened(Readings(clock.now(), tuple(f"m{i + 1}" for i in range(6)), tuple(read)))
+        looking.seen(Shot(frame, frame, clock.now(), command, {}))
+    looking.finish()
+    return looking, live, withdrawn
+
+
+def test_a_run_by_limbs_looks_at_few_poses_and_goes_on_by_vision_once_one_slips(tmp_path):
+    looking, live, withdrawn = by_limbs(tmp_path, 0.0, 60)
+    assert not withdrawn and len(live.looked) < 20 and {0, 10, 20, 30, 40, 50} <= set(live.looked) and not looking.view.alarms
+    looking, live, withdrawn = by_limbs(tmp_path, 3e-5, 33)
+    (frame, reason), = withdrawn
+    assert 33 <= frame < 38 and "limb 5 is longer by +" in reason
+    assert [alarm.kind for alarm in looking.view.alarms] == ["limbs"], "and no strut is said to have jumped"
+    assert set(range(frame, 60)) <= set(live.looked), "from there on vision measures"
+    assert looking.view.seen.learnt.innovation < 3
 
 
 def test_a_mistake_of_ours_stops_the_run_and_is_raised(design, monkeypatch):

@@ -56,6 +56,13 @@ class Observations:
         return np.stack([np.r_[0, edges], np.r_[edges, len(key)]], axis=1) if len(key) else np.zeros((0, 2), int)
 
 
+def nothing_seen(frame: int) -> Observations:
+    """Observations of a frame in which no camera looked: no corners."""
+    none, whole = np.zeros(0), np.zeros(0, int)
+    return Observations(np.array([frame]), whole, whole, whole, whole, none.reshape(0, 2), none.reshape(0, 2, 2), none.reshape(0, 3),
+                        none.astype(bool), True)
+
+
 def only(observations: Observations, solved: np.ndarray) -> Observations:
     """The corners of the frames (indices) that are solved, those frames counted anew."""
     kept = observations.take(np.isin(observations.frame, solved))

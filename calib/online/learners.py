@@ -3,6 +3,9 @@
 They watch for nothing: each says how far a pose was from what it expected, and follows it.
 """
 
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -15,12 +18,39 @@ from rig.errors import RigError
 NO_SCATTER = np.zeros(6)
 
 
-class _Learner:
-    """nominal : Hexapod; the estimate is `hexapod`."""
+class Learner(ABC):
+    """nominal : Hexapod; the estimate is `hexapod`; `memory` : what is kept of the poses beside it; `setting` : its one choice, named SETTING.
+
+    number : poses so far; data : marks of what was learnt (see rig.provenance), so that it is not learnt again
+    """
+
+    SETTING: ClassVar[str]
+    setting: float
+    memory: np.ndarray
 
     def __init__(self, nominal: Hexapod) -> None:
         self.nominal, self.p = nominal, parameters(nominal)
         self.home = np.ascontiguousarray(nominal.home.as_matrix())
+        self.number, self.data = 0, set[str]()
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """(42, 42) m^2 of the estimate; None of a learner that keeps none."""
+        return None
+
+    @abstractmethod
+    def start_from(self, covariance: np.ndarray) -> None:
+        """Begin with what a calibration knows. covariance : (42, 42) m^2 of the nominal's parameters"""
+
+    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+        """One pose, x (6,) m commanded, covariance (6, 6); returns its whitened error (6,). Raises RigError as `rows` does."""
+        e = self._followed(x, T_base_platform, covariance)
+        self.number += 1
+        return e
+
+    @abstractmethod
+    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+        """The estimate follows one pose, as `update` says."""
 
     @property
     def hexapod(self) -> Hexapod:
@@ -38,48 +68,65 @@ class _Learner:
         return right[:, 0], J
 
 
-class Forgetting(_Learner):
+class Forgetting(Learner):
     """Recursive least squares that forgets only along what a pose tells, so that nothing winds up where nothing excites it.
 
-    Source: Cao and Schwartz, A directional forgetting algorithm, Automatica 36, 2000
+    Its memory is the information (42, 42) 1/m^2. Source: Cao and Schwartz, A directional forgetting algorithm, Automatica 36, 2000
     """
+
+    SETTING = "kept"
 
     def __init__(self, nominal: Hexapod, kept: float = 0.99, prior: float = PRIOR) -> None:
         """kept : share of what was known along a pose's directions that stays; prior : m"""
         super().__init__(nominal)
         if not 0 < kept <= 1:
             raise ValueError(f"kept is a share above 0 and at most 1, got {kept}")
-        self.kept, self.information = kept, np.eye(42) / prior**2
+        self.setting, self.memory = kept, np.eye(42) / prior**2
 
     @property
     def covariance(self) -> np.ndarray:
         """(42, 42) m^2 of the estimate."""
-        return np.linalg.inv(self.information)
+        return np.linalg.inv(self.memory)
 
-    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-        """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
+    def start_from(self, covariance: np.ndarray) -> None:
+        """Begin with what a calibration knows. covariance : (42, 42) m^2"""
+        self.memory = np.linalg.inv(covariance)
+
+    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
-        told = J @ self.information
-        self.information += J.T @ J - (1 - self.kept) * told.T @ np.linalg.solve(told @ J.T, told)
-        self.p = self.p + np.linalg.solve(self.information, J.T @ e)
+        told = J @ self.memory
+        self.memory = self.memory + J.T @ J - (1 - self.setting) * told.T @ np.linalg.solve(told @ J.T, told)
+        self.p = self.p + np.linalg.solve(self.memory, J.T @ e)
         return e
 
 
-class Drifting(_Learner):
-    """Iterated extended Kalman filter for parameters that wander: a random walk between poses.
+class Drifting(Learner):
+    """Iterated extended Kalman filter for parameters that wander: a random walk between poses. Its memory is the covariance (42, 42) m^2.
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, ch. 10.5
     """
 
+    SETTING = "drift"
+
     def __init__(self, nominal: Hexapod, drift: float = 1e-7, prior: float = PRIOR, iterations: int = 3) -> None:
         """drift : m per pose by which a parameter wanders, standard deviation; prior : m; iterations : linearisations per pose"""
         super().__init__(nominal)
-        self.drift, self.iterations, self.covariance = drift, iterations, np.eye(42) * prior**2
+        if not 0 <= drift < 1:
+            raise ValueError(f"drift is a length (m) of at least 0, got {drift}")
+        self.setting, self.iterations, self.memory = drift, iterations, np.eye(42) * prior**2
 
-    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-        """One pose; returns its whitened innovation (6,), N(0, I) where all is as modelled. Raises RigError as `rows` does."""
+    @property
+    def covariance(self) -> np.ndarray:
+        """(42, 42) m^2 of the estimate."""
+        return self.memory
+
+    def start_from(self, covariance: np.ndarray) -> None:
+        """Begin with what a calibration knows. covariance : (42, 42) m^2"""
+        self.memory = np.array(covariance)
+
+    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         matrix, before = T_base_platform.as_matrix(), self.p
-        P = self.covariance + self.drift**2 * np.eye(42)
+        P = self.memory + self.setting**2 * np.eye(42)
         p, innovation = before, np.zeros(0)
         for _ in range(self.iterations):
             e, J = self.rows(x, matrix, covariance, p)
@@ -92,26 +139,36 @@ class Drifting(_Learner):
             if np.abs(p - earlier).max() < 1e-9:
                 break
         keep = np.eye(42) - gain @ J
-        self.p, self.covariance = p, keep @ P @ keep.T + gain @ gain.T
+        self.p, self.memory = p, keep @ P @ keep.T + gain @ gain.T
         return innovation
 
 
-class FirstOrder(_Learner):
+class FirstOrder(Learner):
     """On-line gradient steps, each coordinate's as long as its gradients so far allow; no matrix is kept, and no covariance.
 
-    The regret against the best fixed parameters grows with the root of the number of poses. Source: Duchi, Hazan and Singer,
-    Adaptive subgradient methods, JMLR 12, 2011
+    The regret against the best fixed parameters grows with the root of the number of poses. Its memory is the sum (42,) of the
+    gradients' squares. Source: Duchi, Hazan and Singer, Adaptive subgradient methods, JMLR 12, 2011
     """
+
+    SETTING = "step"
 
     def __init__(self, nominal: Hexapod, step: float = PLAUSIBLE) -> None:
         """step : m, how far a parameter may plausibly have to go"""
         super().__init__(nominal)
-        self.step, self.squares = step, np.zeros(42)
+        if not 0 < step < 1:
+            raise ValueError(f"step is a length (m) above 0, got {step}")
+        self.setting, self.memory = step, np.zeros(42)
 
-    def update(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
-        """One pose; returns its whitened error (6,). Raises RigError as `rows` does."""
+    def start_from(self, covariance: np.ndarray) -> None:
+        """Begin with what a calibration knows: steps no longer than that is uncertain. covariance : (42, 42) m^2"""
+        self.setting = min(self.setting, float(np.sqrt(np.mean(np.diag(covariance)))))
+
+    def _followed(self, x: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> np.ndarray:
         e, J = self.rows(x, T_base_platform.as_matrix(), covariance, self.p)
         gradient = -J.T @ e
-        self.squares += gradient**2
-        self.p = self.p - self.step * gradient / np.sqrt(np.maximum(self.squares, 1e-300))
+        self.memory = self.memory + gradient**2
+        self.p = self.p - self.setting * gradient / np.sqrt(np.maximum(self.memory, 1e-300))
         return e
+
+
+LEARNERS: dict[str, type[Forgetting | Drifting | FirstOrder]] = {"forgetting": Forgetting, "drifting": Drifting, "first-order": FirstOrder}

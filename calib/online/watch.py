@@ -1,5 +1,6 @@
 """Poses learnt as a run takes them: what the machine is by now, what jumped, and whether it drifts from its calibration."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,22 +23,28 @@ LATEST = 5  # poses whose median error must exceed the tolerance: one is a bad m
 class Learnt:
     """What one pose said. error : (6,) m and rad, measured less what was expected of the command, in the platform's frame
     struts : (6,) m, commanded less what the owner's model says for the measured pose; innovation : RMS of what was expected, 1 is normal
-    changes : jumps found with it; drift : (m, rad) beyond the tolerance, or None."""
+    changes : jumps found with it; unsure : whether it disagrees and the next ones will say why; drift : (m, rad) beyond the tolerance, or None
+    """
 
     error: np.ndarray
     struts: np.ndarray
     innovation: float
     changes: tuple[Change, ...]
+    unsure: bool
     drift: tuple[float, float] | None
 
 
 class Learner:
-    """Learns from a run's poses. nominal : Hexapod; calibration : to start from, or None; tolerance : (m, rad) of drift, or None."""
+    """Learns from a run's poses. nominal : Hexapod; calibration : to start from, or None; tolerance : (m, rad) of drift, or None
+    shared : draws that all poses' errors have in common."""
 
-    def __init__(self, nominal: Hexapod, calibration: Calibration | None = None, tolerance: tuple[float, float] | None = None) -> None:
+    def __init__(self, nominal: Hexapod, calibration: Calibration | None = None, tolerance: tuple[float, float] | None = None,
+                 shared: int = 0) -> None:
         self._nominal, self._tolerance = nominal, tolerance
         self._correction = calibration.correction if calibration else Correction(nominal, nominal, (None,) * 6)
-        self._online = Online(self._correction.fitted, 0, calibration.scatter, calibration.covariance) if calibration else Online(nominal, 0)
+        self._online = (Online(self._correction.fitted, shared, calibration.scatter, calibration.covariance) if calibration else
+                        Online(nominal, shared))
+        self._kept = copy(self._online)
         self._calibrated, self._errors = calibration is not None, list[np.ndarray]()
         self._drifting = False
 
@@ -50,14 +57,26 @@ class Learner:
         """T_base_platform that commanded lengths (6,) m should give, by what is known so far."""
         return mechanisms.of(self._nominal).forward(commanded - self._correction.rho(commanded), self._online.hexapod)
 
-    def learn(self, commanded: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> Learnt:
-        """One pose. commanded : (6,) m; covariance : (6, 6) tangent on the right. Raises RigError as `Online.update` does."""
+    def keep(self) -> None:
+        """Remember what is known now."""
+        self._kept = copy(self._online)
+
+    def back(self) -> None:
+        """Know again what was known when it was last kept, nothing of what came since; poses to come share no errors."""
+        self._online = copy(self._kept)
+        self._online.new_session()
+
+    def learn(self, commanded: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray, common: np.ndarray | None = None) -> Learnt:
+        """One pose. commanded : (6,) m; covariance : (6, 6) tangent on the right; common : (6, shared) factor of errors that poses share.
+
+        Raises RigError as `Online.update` does.
+        """
         expected = self.expected(commanded)
         error = difference(expected, T_base_platform)
         struts = commanded - mechanisms.of(self._nominal).inverse(T_base_platform, self._nominal)
-        update = self._online.update(commanded - self._correction.rho(commanded), T_base_platform, covariance)
+        update = self._online.update(commanded - self._correction.rho(commanded), T_base_platform, covariance, common)
         fresh = self._drift(difference(self._correction.predict(commanded), T_base_platform)) if self._calibrated else None
-        return Learnt(error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, fresh)
+        return Learnt(error, struts, float(np.sqrt(update.innovation @ update.innovation / 6)), update.changes, update.held, fresh)
 
     def _drift(self, error: np.ndarray) -> tuple[float, float] | None:
         """(m, rad) of the drift from the calibration, once, when it leaves the tolerance."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands import checking
+from rig.commands import checking, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
 from rig.errors import RigError
 from rig.kinds import arm_of, hexapod_of
@@ -45,6 +45,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--onto", metavar="CALIBRATION", type=Path, help="of --extend: one more pass, on the rig that this calibration corrects: "
                         "what it leaves in the recording is corrected on top; order and count are kept")
     parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
+    from_limbs.arguments(parser)
     add_force(parser)
     checking.argument(parser)
 
@@ -70,10 +71,8 @@ def _calibrate(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from calib.pipeline import sample_recording
-
     findings = _findings(arguments, recording)
-    sampled = sample_recording(recording, progress=progress, look=look)
+    sampled = from_limbs.sampled(arguments, recording, progress, look)
     rng = np.random.default_rng(SEED)
     if (arguments.alone or arguments.onto) and not arguments.extend or (arguments.alone and arguments.onto):
         raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
@@ -106,6 +105,8 @@ def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
         raise RigError(f"{asked} is for hexapods; an arm's joints are corrected over its configuration space")
     if asked and arguments.joint:
         raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
+    if asked and arguments.limbs:
+        raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
     if asked and arguments.extend:
         raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
     if arguments.diagnosis is None:
@@ -282,7 +283,7 @@ def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], d
 
     frames, found = sampled.samples.frame, done.found
     physics, covariance = (None, found.covariance) if known is None else known
-    source = store.provenance(recording, argv, SEED, sampled.source == "images")
+    source = store.provenance(recording, argv, SEED, sampled.source == "images", sampled.files, sampled.data)
     if before is not None:
         source = store.after(source, before)
     calibration = Calibration(

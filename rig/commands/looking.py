@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.online.limb_live import LimbLive
 from calib.online.watch import Learner, Learnt, LimbWatch
 from rig import mechanisms
 from rig.clock import Clock
@@ -19,7 +20,7 @@ from rig.journal import Departure, Ended, Exposed, Readings, Remark, Resumed, Ro
 from rig.kinds import struts_of
 from rig.operate import Shot
 from rig.steps import Step, distances
-from vision.reading.live import Live, Sight
+from vision.reading.live import Live, Sight, told_by_limbs
 from vision.reading.watch import Alarm, Watch
 
 WAITING = 4  # frames that may wait to be measured before the run waits for them
@@ -82,13 +83,16 @@ class Looking:
         self._watch = Watch(design)
         self._limbs = LimbWatch(design) if design.insitu is not None and design.mechanism.kind == "hexapod" else None
         self._read: np.ndarray | None = None
+        self.source: LimbLive | None = None  # limbs whose poses stand for vision's
+        self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: None  # writes that they no longer do
+        self._waiting: list[Alarm] = []  # jumps that vision has not confirmed
         self._begun, self._done, self._way = clock.now(), 0, distances(planned, start)
         speed = design.controller.max_speed.min() if design.controller else np.inf
         self._travel, self._planned = self._way / speed, planned
         frames = sum(step.frames for step in planned)
         self.view = View("starting", 0, frames, 0, len(planned), float("nan"), start, start, struts_of(design.mechanism).strut_range, (), None, None)
         self._lock = threading.RLock()
-        self._queue: queue.Queue[Shot | None] = queue.Queue(WAITING)
+        self._queue: queue.Queue[tuple[Shot, np.ndarray | None] | None] = queue.Queue(WAITING)
         self._worker = threading.Thread(target=self._work, daemon=True)
         self._worker.start()
 
@@ -114,8 +118,8 @@ class Looking:
 
     def seen(self, shot: Shot) -> None:
         """A frame is on disk: it is measured while the run goes on."""
-        if self._live is not None:
-            self._queue.put(shot)
+        if self._live is not None or self.source is not None:
+            self._queue.put((shot, self._read))
 
     def stop(self) -> str:
         """Why the run should stop."""
@@ -161,37 +165,82 @@ class Looking:
         return float(self._travel[step:].sum() + max(beside, 0.0) * (len(self._planned) - step))
 
     def _work(self) -> None:
-        while (shot := self._queue.get()) is not None:
+        while (taken := self._queue.get()) is not None:
+            shot, lengths = taken
             try:
-                if self._failed is None and self._live is not None:
-                    self._measure(shot, self._live)
+                if self._failed is None and self.source is not None and self.source.in_force and lengths is not None:
+                    self._by_limbs(shot, lengths, self.source)
+                elif self._failed is None and self._live is not None:
+                    self._measure(shot, lengths, self._live)
             except RigError as error:
                 self.warn(Alarm("unseen", f"frame {shot.number} could not be measured: {error}"))
             except Exception as error:  # ours, and no reason to lose the run: it is stopped, and `finish` raises it
                 self._failed = error
                 self.ask_stop(f"measuring frame {shot.number} failed: {error!r}")
 
-    def _measure(self, shot: Shot, live: Live) -> None:
+    def _look(self, shot: Shot, live: Live) -> tuple[Sight, list[Alarm]]:
+        """(what vision sees of a shot, what is wrong with that)."""
         sight = live.take(shot.number, {name: frame.image for name, frame in shot.frames.items()}, self._expected(shot))
-        delay = self._clock.now() - max(frame.t for frame in shot.frames.values())
-        alarms, learnt = self._watch.look(sight, live.noise), None
+        return sight, self._watch.look(sight, live.noise)
+
+    def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LimbLive) -> None:
+        """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not said."""
+        T, own, common = source.pose(lengths)
+        learnt = None if self._learner is None else self._learner.learn(shot.commanded, T, own, common)
+        sight, alarms, live = told_by_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
+        if learnt is not None:
+            self._waiting += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
+        if live is not None and source.due(learnt is not None and (learnt.unsure or bool(learnt.changes))):
+            seen, alarms = self._look(shot, live)
+            if seen.T_base_platform is not None and seen.covariance is not None:
+                found = source.check(lengths, seen.T_base_platform, seen.covariance)
+                sight = seen
+                if found is not None:
+                    self._withdrawn(source, shot.number, found.reason)
+                elif not source.undecided:
+                    alarms, self._waiting = alarms + self._waiting, []
+                    if self._learner is not None:
+                        self._learner.keep()
+        self._show(shot, sight, learnt)
+        for alarm in alarms:
+            self.warn(alarm)
+        if live is not None:
+            live.adjust()
+
+    def _withdrawn(self, source: LimbLive, frame: int, reason: str) -> None:
+        """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is forgotten."""
+        self._waiting = []
+        if self._learner is not None:
+            self._learner.back()
+        self.withdraw(source, frame, reason)
+        self.warn(Alarm("limbs", f"frame {frame}: {reason}. Vision no longer agrees with the measuring limbs: their acceptance is withdrawn, "
+                                 "what was learnt since they last agreed is forgotten, and vision measures"))
+
+    def _measure(self, shot: Shot, lengths: np.ndarray | None, live: Live) -> None:
+        sight, alarms = self._look(shot, live)
+        learnt = None
         if self._learner is not None and sight.covariance is not None:
             learnt = self._learner.learn(shot.commanded, sight.T_base_platform, sight.covariance)
             alarms += [Alarm("jump", said(change, shot.number)) for change in learnt.changes]
             if learnt.drift:
                 alarms.append(Alarm("drift", f"frame {shot.number}: poses have drifted from the calibration by {learnt.drift[0] * 1e3:.3f} mm and "
                                              f"{learnt.drift[1] * 1e3:.3f} mrad, beyond the tolerance"))
-        if self._limbs is not None and self._read is not None and sight.covariance is not None and self._limbs.take(
-                self._read, sight.T_base_platform, sight.covariance):
+        if self._limbs is not None and self.source is None and lengths is not None and sight.covariance is not None and self._limbs.take(
+                lengths, sight.T_base_platform, sight.covariance):
             alarms.append(Alarm("limbs", f"frame {shot.number}: the measuring limbs no longer agree with vision"))
+        self._show(shot, sight, learnt)
+        for alarm in alarms:
+            self.warn(alarm)
+        live.adjust()
+
+    def _show(self, shot: Shot, sight: Sight, learnt: Learnt | None) -> None:
+        """Have displays show a frame."""
+        delay = self._clock.now() - max([frame.t for frame in shot.frames.values()], default=self._clock.now())
         o, good = sight.observations, sight.inliers & np.isfinite(sight.residuals[:, 0])
         rms = {camera.name: float(np.sqrt((sight.residuals[rows] ** 2).mean())) for i, camera in enumerate(self.design.cameras)
                if (rows := good & (o.camera == i)).any()}
         blur = {name: float(np.median(d.blur)) for name, d in sight.detections.items() if len(d.blur)}
         self.update(seen=Seen(shot, sight, learnt, delay, rms, blur))
-        for alarm in alarms:
-            self.warn(alarm)
-        live.adjust()
 
     def _expected(self, shot: Shot) -> RigidTransform | None:
         """Where the platform ought to be."""

@@ -1,4 +1,4 @@
-"""rig measure REC --out DIR."""
+"""rig measure REC --out DIR [--limbs FILE]."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands import checking
+from rig.commands import checking, from_limbs
 from rig.commands.output import Progress, add_force, add_recording, print_unsolved
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     from rig.design import Camera
+    from rig.recording import Recording
     from vision.measure import Measurement
 
 
@@ -23,6 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--places", choices=("auto", "stated", "free"), default="auto", help="places of the markers on their bodies: as stated, "
                         "adjusted too, or (auto) adjusted where the stated ones contradict what is seen")
     parser.add_argument("--detect", action="store_true", help="read the images even if corners.csv is there")
+    from_limbs.arguments(parser)
     add_force(parser)
     checking.argument(parser)
 
@@ -39,6 +41,10 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look = checking.begin(arguments)
+    from_limbs.refuse_check(arguments)
+    if arguments.limbs is not None:
+        _by_limbs(arguments, recording, progress)
+        return
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
@@ -73,6 +79,26 @@ def run(arguments: Namespace) -> None:
     _print_cameras(recording.design.cameras, measured.design.cameras)
     print(determination.summary())
     print(f"written: {arguments.out}/poses.csv, corners.csv, rig.toml; look at {arguments.out}/report.html")
+
+
+def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:
+    """Write the poses that measuring limbs tell, with covariance; rig.toml stays as stated, since no camera was adjusted."""
+    from calib.certify.held_out import uncertainty
+    from rig import provenance, writing
+    from rig.observed import Poses
+
+    if arguments.hold or arguments.detect or arguments.places != "auto":
+        raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
+    found, accepted = from_limbs.poses(arguments, recording, progress)
+    out = arguments.outputs.folder(arguments.out)
+    arguments.outputs.data = provenance.lines(provenance.marks(recording))
+    writing.write_bytes(out / "rig.toml", (recording.folder / "rig.toml").read_bytes())
+    writing.write_poses(out / "poses.csv", Poses(found.frames, found.T_base_platform, found.covariance))
+    writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
+    position, rotation = uncertainty(found.covariance)
+    print(f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of which readings "
+          f"{uncertainty(found.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision over {accepted.agreement.n} poses")
+    print(f"written: {arguments.out}/poses.csv, rig.toml as stated")
 
 
 def _print_verdict(measured: Measurement, held: Any, uncertainties: tuple[float, float], total: int) -> None:

@@ -1,19 +1,25 @@
-"""rig online REC [--state FILE]."""
+"""rig online REC [--learner NAME] [--state FILE]."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import following, from_limbs
 from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
+from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     import numpy as np
 
     from calib.online.change_detection import Change
     from calib.online.filter import Online, Update
+    from calib.pipeline import Sampled
+    from calib.samples import Samples
     from calib.store import Calibration
     from rig.design import Arm, Free, Hexapod, Planar2
     from rig.provenance import Marks
@@ -27,6 +33,8 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording(parser)
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
+    following.arguments(parser)
+    from_limbs.arguments(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -39,42 +47,66 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
 
+    from calib.online.filter import Online
+
+    calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
+    sampled = partial(from_limbs.sampled, arguments, recording, progress)
+    if arguments.learner != following.WATCHING:
+        following.follow(arguments, recording, sampled, calibration, state, progress)
+        return
+    following.refuse_settings(arguments)
+    known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
+    learner = learn(recording, sampled, known, calibration, progress)
+    if state is not None:
+        learner.save(state)
+        print(f"written: {arguments.state}")
+
+
+def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None, progress: Progress) -> Online:
+    """The filter after a recording's poses that it has not learnt, which is said. sampled : makes the Sampled of it
+    known : the filter to go on with, or None; calibration : where a new one starts from, or None
+
+    Raises RigError where no pose is left to learn
+    """
     import numpy as np
 
     from calib.identify.geometry import parameters
     from calib.online.filter import Online
-    from calib.pipeline import sample_recording
     from rig.provenance import flat, marks
 
-    calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    of = marks(recording)
+    of, mechanism = marks(recording), hexapod_of(recording.design.mechanism)
     learnt = known.data if known is not None else set() if calibration is None else set(calibration.provenance.get("data", ()))
     fresh = not_learnt(recording, of, learnt)
-    sampled = sample_recording(recording, progress=progress)
-    samples = sampled.samples.take(np.isin(sampled.samples.frame, fresh))
-    if not len(samples):
-        raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
+    found = sampled()
+    samples = fresh_of(found.samples, fresh, recording)
     shared = samples.common.shape[2]
     before = known.number if known is not None else 0
     if known is not None:
         known.new_session(shared)
     learner = known or (Online(mechanism, shared) if calibration is None else
-                        Online(calibration.correction.fitted, shared, calibration.scatter, calibration.covariance))
+                        Online(hexapod_of(calibration.correction.fitted), shared, calibration.scatter, calibration.covariance))
     learner.data = learnt | set(flat(of, fresh))
     commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
     updates = []
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
-    _tell(learner, updates, samples.frame, f"{len(samples)} poses from {sampled.source}, learnt one at a time"
+    _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
     moved = learner.p - parameters(mechanism)
     print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
-    print_unsolved(sampled.measurement)
-    if state is not None:
-        learner.save(state)
-        print(f"written: {arguments.state}")
+    print_unsolved(found.measurement)
+    return learner
+
+
+def fresh_of(samples: Samples, fresh: list[int], recording: Recording) -> Samples:
+    """The Samples of frames that have not been learnt. Raises RigError where none of these has a pose."""
+    import numpy as np
+
+    chosen = np.isin(samples.frame, fresh)
+    if not chosen.any():
+        raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
+    return samples.take(chosen)
 
 
 def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from rig.commands import from_limbs
 from rig.commands.output import SEED, add_driving
 from rig.advice import TRUST
 from rig.errors import PositionLost, RigError
@@ -45,6 +46,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--tolerance", nargs=2, type=float, metavar=("M", "RAD"), help="drift from the calibration that is said")
     parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
     parser.add_argument("--no-measure", action="store_true", help="take images only")
+    from_limbs.arguments(parser)
     parser.add_argument("--page", nargs="?", type=int, const=0, metavar="PORT",
                         help="show the run on a page of this computer, with a button to stop it")
 
@@ -59,6 +61,9 @@ def run(arguments: Namespace) -> int:
     design = design_of(arguments.design, arguments.port)
     planned = steps(build(design, arguments.plan, arguments.seed))
     settle, options = settling(arguments.settle), _options(arguments)
+    from_limbs.refuse_check(arguments)
+    if arguments.limbs is not None:
+        from_limbs.in_force(arguments, design)
     if arguments.dry_run:
         _dry_run(design, planned)
         return 0

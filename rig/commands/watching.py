@@ -5,10 +5,13 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from calib import store
+from calib.online.limb_live import LimbLive
 from calib.online.watch import Learner
+from rig.commands import from_limbs
 from rig.commands.looking import Display, Looking
 from rig.commands.page import Page
 from rig.commands.terminal import terminal
@@ -22,13 +25,17 @@ if TYPE_CHECKING:
     from rig.design import Design
     from rig.steps import Step
 
+SHARED = 42  # draws that all poses by limbs have in common: their geometry
+
 
 def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stop_on: frozenset[str],
                halt: Callable[[], object]) -> Looking:
-    """The Looking of a run. start : (axes,) m; halt : stops the struts from any thread.
+    """The Looking of a run, by limbs where the arguments name accepted ones. start : (axes,) m; halt : stops the struts from any thread.
 
-    Raises RigError for a calibration of another kind of machine.
+    Raises RigError for a calibration of another kind of machine, and for limbs that do not stand for vision.
     """
+    every = from_limbs.refuse_check(arguments)
+    accepted = from_limbs.in_force(arguments, design) if arguments.limbs is not None else None
     calibration = store.load(arguments.calibration) if arguments.calibration else None
     if calibration is not None:
         calibration.refuse_physics("watching a run")
@@ -38,8 +45,17 @@ def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], 
     measured = not arguments.no_measure and any(target.body == "platform" for target in design.targets)
     learner = None
     if measured and design.mechanism.kind == "hexapod":
-        learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None)
-    return Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt)
+        learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None,
+                          0 if accepted is None else SHARED)
+    looking = Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt)
+    if accepted is not None:
+        looking.source = LimbLive(accepted, every)
+        looking.withdraw = partial(_withdraw, arguments)
+    return looking
+
+
+def _withdraw(arguments: Namespace, source: LimbLive, frame: int, reason: str) -> None:
+    from_limbs.withdraw(arguments.limbs, source.accepted, str(arguments.out), frame, reason)
 
 
 @contextmanager

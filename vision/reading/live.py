@@ -18,7 +18,7 @@ from rig.recording import Corners
 from vision.corners.detect import Detection, detect, grey, place
 from vision.corners.spread import PLAIN, Spread
 from vision.measure import Measurement, measure
-from vision.observations import Observations, from_corners
+from vision.observations import Observations, from_corners, nothing_seen
 from vision.pose.frames import Views, locate_frames, resect
 from vision.pose.locate import FINEST
 from vision.predict import State, expected, predict
@@ -46,6 +46,11 @@ class Sight:
     inliers: np.ndarray
     detections: dict[str, Detection]
     expected: dict[str, tuple[int, ...]]
+
+
+def told_by_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.ndarray) -> Sight:
+    """Sight of a frame whose pose others told, with its covariance (6, 6), m and rad on the right: no camera looked at it."""
+    return Sight(frame, T_base_platform, covariance, "", nothing_seen(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

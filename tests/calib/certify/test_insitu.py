@@ -8,26 +8,12 @@ import pytest
 from calib.certify import insitu
 from calib.online.filter import Online
 from calib.pipeline import sample_recording
-from rig import design_file, layout, plan, recording
+from rig import design_file, layout, plan
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference, exp
 from rig.recording import Sensors
-from synthetic import simulation, world
 from tests.calib.worlds import rms
-
-
-@pytest.fixture(scope="module")
-def limbed(tmp_path_factory):
-    """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis."""
-    folder = tmp_path_factory.mktemp("limbs")
-    text = layout.layout(0.3, limbs=True)
-    (folder / "rig.toml").write_text(text)
-    design = design_file.load(folder / "rig.toml")
-    rng = np.random.default_rng(2)
-    done = simulation.simulate(world.draw(design, rng), plan.build(design, "axes:5,sobol:50"), rng)
-    simulation.write(done, folder / "rec", text, rng, noise=0.04)
-    return design, recording.load(folder / "rec"), done
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from calib.identify.geometry import identify, parameters, pose_jacobian
+from calib.online import learner_file
 from calib.online.learners import Drifting, FirstOrder, Forgetting
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference, exp
 from tests.calib.streams import COVARIANCE, learnt, stream
@@ -77,3 +78,43 @@ def test_a_drift_is_followed(design):
 def test_a_share_above_one_is_refused(design):
     with pytest.raises(ValueError, match="share"):
         Forgetting(design.mechanism, 1.1)
+
+
+@pytest.mark.parametrize("way, setting", [(Forgetting, 0.95), (Drifting, 3e-7), (FirstOrder, 2e-3)])
+def test_a_learner_goes_on_from_its_file_as_if_it_had_never_stopped(design, tmp_path, way, setting):
+    poses = stream(design, 1, 40)
+    through, path = way(design.mechanism, setting), tmp_path / "state.json"
+    stopped = way(design.mechanism, setting)
+    for k, (x, T) in enumerate(zip(poses.commands, poses.T)):
+        if k == 20:
+            stopped.data = {"a", "b"}
+            learner_file.save(path, stopped)
+            stopped = learner_file.load(path)
+        through.update(x, T, COVARIANCE)
+        stopped.update(x, T, COVARIANCE)
+    np.testing.assert_array_equal(stopped.p, through.p)
+    assert (stopped.number, stopped.setting, stopped.data, type(stopped)) == (40, setting, {"a", "b"}, way)
+
+
+@pytest.mark.parametrize("spoil, says", [
+    (lambda text: text[: len(text) // 2], "cut off"), (lambda text: text.replace("forgetting", "guessing"), "must be one of 'forgetting'"),
+    (lambda text: text.replace('"kept": 0.99', '"kept": 1.5'), "kept is a share"),
+    (lambda text: text.replace('"number": 0', '"number": -1'), "number must"),
+    (lambda text: text.replace("learner/1", "learner/9"), 'its schema is .*not "learner/1"'),
+])
+def test_a_spoilt_file_of_a_learner_is_refused(design, tmp_path, spoil, says):
+    path = tmp_path / "state.json"
+    learner_file.save(path, Forgetting(design.mechanism))
+    path.write_text(spoil(path.read_text()))
+    with pytest.raises(FileError, match=says) as error:
+        learner_file.load(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize("way", ALL)
+def test_what_a_calibration_knows_is_not_thrown_away(design, way):
+    poses = stream(design, 1, 20)
+    learner = way(poses.before)
+    learner.start_from(np.eye(42) * 1e-12)
+    learnt(design, poses, learner)
+    assert np.abs(learner.p - parameters(poses.before)).max() < 2e-5

@@ -1,0 +1,112 @@
+"""rig online --learner: the learners that follow poses and watch for nothing, with what each keeps between recordings."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import Progress, print_unsolved
+from rig.errors import RigError
+from rig.kinds import hexapod_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from calib.online.learners import Learner
+    from calib.pipeline import Sampled
+    from calib.store import Calibration
+    from rig.recording import Recording
+
+WATCHING = "filter"  # the one of calib/online/filter.py
+SETTINGS = {"forgetting": "kept", "drifting": "drift", "first-order": "step"}
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add the choice of a learner, and each one's setting."""
+    parser.add_argument("--learner", choices=(WATCHING, *SETTINGS), default=WATCHING, help="filter (the default) names what jumped; forgetting: "
+                        "least squares that forget along what is told; drifting: parameters that wander; first-order: gradient steps, no covariance")
+    parser.add_argument("--kept", type=float, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
+    parser.add_argument("--drift", type=float, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
+    parser.add_argument("--step", type=float, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
+
+
+def refuse_settings(arguments: Namespace) -> None:
+    """Raise RigError for a setting of another learner than the one that is asked for."""
+    for learner, setting in SETTINGS.items():
+        if learner != arguments.learner and getattr(arguments, setting) is not None:
+            raise RigError(f"--{setting} is of --learner {learner}, not of {arguments.learner}")
+
+
+def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
+           progress: Progress) -> None:
+    """Learn a recording's poses one at a time by the learner that is asked for, and say how well it expected them.
+
+    sampled : makes the Sampled of the recording; state : where it is saved, or None
+    Raises RigError for a state of another learner, and where no pose is left to learn
+    """
+    import numpy as np
+
+    from calib.identify.geometry import parameters
+    from calib.online import learner_file
+    from rig.commands.online import fresh_of, not_learnt
+    from rig.provenance import flat, marks
+
+    refuse_settings(arguments)
+    learner = _learner(arguments, recording, calibration)
+    of, before = marks(recording), learner.number
+    fresh = not_learnt(recording, of, learner.data)
+    found = sampled()
+    samples = fresh_of(found.samples, fresh, recording)
+    learner.data |= set(flat(of, fresh))
+    commands = samples.commanded - (0 if calibration is None else calibration.correction.rho(samples.commanded))
+    errors = np.empty((len(samples), 6))
+    for k, (x, T, C) in enumerate(zip(commands, samples.T_base_platform, samples.total_covariance())):
+        errors[k] = learner.update(x, T, C)
+        progress("learning", k + 1, len(samples))
+    print(f"{len(samples)} poses from {found.source}, learnt one at a time by {arguments.learner} ({learner.SETTING} {learner.setting:g})"
+          + (f" after {before} before" if before else ""))
+    _tell(errors)
+    moved = learner.p - parameters(hexapod_of(recording.design.mechanism))
+    known = "" if learner.covariance is None else f", known to {np.sqrt(np.mean(np.diag(learner.covariance))) * 1e3:.4f} mm RMS"
+    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml{known}")
+    print_unsolved(found.measurement)
+    if state is not None:
+        learner_file.save(state, learner)
+        print(f"written: {arguments.state}")
+
+
+def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:
+    """The Learner of a state that is there, else a new one. Raises RigError where the two do not go together."""
+    from calib.online import learner_file
+    from calib.online.learners import LEARNERS
+
+    kind, chosen = LEARNERS[arguments.learner], getattr(arguments, SETTINGS[arguments.learner])
+    if arguments.state is not None and arguments.state.exists():
+        learner = learner_file.load(arguments.state)
+        if type(learner) is not kind:
+            raise RigError(f"{arguments.state} is the state of another learner than {arguments.learner}")
+        if chosen is not None and chosen != learner.setting:
+            raise RigError(f"{arguments.state} goes on with {learner.SETTING} {learner.setting:g}, not with {chosen:g}")
+        return learner
+    nominal = hexapod_of(recording.design.mechanism if calibration is None else calibration.correction.fitted)
+    try:
+        learner = kind(nominal) if chosen is None else kind(nominal, chosen)
+    except ValueError as error:
+        raise RigError(f"--{kind.SETTING}: {error}") from None
+    if calibration is not None:
+        learner.start_from(calibration.covariance)
+        learner.data = set(calibration.provenance.get("data", ()))
+    return learner
+
+
+def _tell(errors: np.ndarray) -> None:
+    """Say how far poses were from what was expected of them. errors : (n, 6) whitened"""
+    import numpy as np
+
+    quarter = max(len(errors) // 4, 1)
+    first, last = (float(np.sqrt(np.mean(part**2))) for part in (errors[:quarter], errors[-quarter:]))
+    print(f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by {last:.3g} in the last "
+          "(1 where nothing is left to learn)")
