@@ -139,10 +139,11 @@ class LinearModel:
 
     def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        if self.half is None:
+        rows = sum(int(block.edges[-1]) for block in self.blocks)
+        if self.half is None and self.columns.count * self.frames <= rows:  # then a frame's products are fewer numbers than its rows
             projections, grams = self.by_frames()
             return (projections + grams @ reach) @ onto.T
-        back, size = self.half @ onto.T, self.half @ reach
+        back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
         out = np.zeros((self.frames, len(onto)))
         for block, part in zip(self.blocks, self.columns.whole):
             moved = (part @ np.column_stack([back, size]))[block.frames_rows]
