@@ -1,7 +1,7 @@
 """A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units.
 
-Written to the published structure; no package carries the schema file, so it is checked against it outside: `dcc-validate` of
-dcc-json-toolkit fetches and applies it. Who calibrated, for whom and where is for the owner to say; what is not said stands as "not stated".
+No package carries the schema files, so that what is written is checked against them outside: DCC 3.2.0 with D-SI 2.1.0 finds no error in it but
+the version's own number; `dcc-validate` of dcc-json-toolkit fetches and applies the one it names. Who calibrated, for whom and where is for the owner to say; what is not said stands as "not stated".
 Source: Physikalisch-Technische Bundesanstalt, DCC 3.3.0 (https://ptb.de/dcc/v3.3.0) and D-SI 2.2.1 (https://ptb.de/si).
 """
 
@@ -25,12 +25,13 @@ UNITS = {"C": r"\degreecelsius", "kg": r"\kilogram", "m": METRE, "rad": RADIAN, 
 
 @dataclass(frozen=True, slots=True)
 class Issuer:
-    """Who calibrated, who answers for it, for whom, and the country's two letters (ISO 3166-1)."""
+    """Who calibrated, who answers for it, for whom, the country's two letters (ISO 3166-1), and who made the machine."""
 
     laboratory: str = NOT_STATED
     person: str = NOT_STATED
     customer: str = NOT_STATED
     country: str = NOWHERE
+    manufacturer: str = NOT_STATED
 
 
 def text(c: Certificate, issuer: Issuer) -> str:
@@ -79,6 +80,7 @@ def _administrative(part: ET.Element, c: Certificate, issuer: Issuer) -> None:
         _sub(core, name, said)
     item = _sub(_sub(part, "items"), "item")
     _content(item, "name", f"{c.machine} as calibrated")
+    _contact(item, "manufacturer", issuer.manufacturer, issuer.country, located=False)  # DCC up to 3.2 does not do without
     known = _sub(_sub(item, "identifications"), "identification")
     _sub(known, "issuer", "other")
     _sub(known, "value", next(iter(next(iter(c.provenance["inputs_sha256"].values())).values())))

@@ -62,7 +62,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
     parser.add_argument("--scale-uncertainty", metavar="R", type=relative, help="relative standard uncertainty of the base targets' scale, as 20e-6")
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
-    for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom")):
+    for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom"),
+                      ("manufacturer", "who made the machine")):
         parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
     parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
@@ -149,7 +150,7 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
 
         pdf.save(path, made)
     elif suffix == ".xml":
-        write_text(path, dcc.text(made, dcc.Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country)))
+        write_text(path, dcc.text(made, dcc.Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country, arguments.manufacturer)))
     else:
         write_text(path, tree.text(made))
 
