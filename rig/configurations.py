@@ -15,6 +15,7 @@ from rig.outside import shown
 from rig.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
+DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its poses: a tenth of the whole from each end
 
 
 def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
@@ -125,6 +126,29 @@ def along_and_about(design: Design, per_axis: int = 9) -> np.ndarray:
             reach.append(sign * low)
         found += [module.inverse(_shifted(mechanism, axis, step), mechanism) for step in np.linspace(reach[0], reach[1], per_axis)]
     return np.array(found)
+
+
+def iso9283(design: Design) -> np.ndarray:
+    """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach about home, P2 to P5 on the
+    diagonals of a plane through four of its corners, a tenth of the diagonal from each. Raises RigError for a mechanism that is no hexapod."""
+    mechanism = design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"ISO 9283's poses are planned for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        half = (low + high) / 2
+        lengths = module.inverse(_moved(mechanism, half * corners), mechanism)
+        inside = not module.limits(middle + (lengths - middle) / FILL, mechanism).any()
+        low, high = (half, high) if inside else (low, half)
+    plane = corners[corners[:, 1] == corners[:, 2]]
+    return module.inverse(_moved(mechanism, low * np.concatenate([np.zeros((1, 3)), DIAGONAL * plane])), mechanism)
+
+
+def _moved(mechanism: Hexapod, offsets: np.ndarray) -> RigidTransform:
+    """Home moved by offsets (n, 3) m along the base's axes."""
+    return RigidTransform.from_translation(offsets) * mechanism.home
 
 
 def _shifted(mechanism: Hexapod, axis: int, step: float) -> RigidTransform:

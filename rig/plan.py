@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import mechanisms, table
-from rig.configurations import FILL, along_and_about, division, grid, low_discrepancy, parts, scaled, simplices
+from rig.configurations import FILL, along_and_about, division, grid, iso9283, low_discrepancy, parts, scaled, simplices
 from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.origin import Origin, decimal
@@ -91,7 +91,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
     configuration at which the struts settle is reached from shorter struts.
 
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N,
-    moving:N, zigzag:N, warmup:N, repeat:N
+    moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
     Raises RigError for a part that is not known.
     """
@@ -121,7 +121,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:
     """Raise RigError for a part that would make a plan of more than MOST exposures."""
     each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "ladder": 4.0 * axes * count,
-            "payload": 3.0 * count}.get(name, count)
+            "payload": 3.0 * count, "iso9283": 5.0 * count}.get(name, count)
     _refuse_beyond(name, str(count), each, before, text)
 
 
@@ -212,6 +212,14 @@ def _repeat(writer: _Writer, design: Design, count: int, rng: np.random.Generato
         writer.settle(goals[k % 3])
 
 
+def _iso9283(writer: _Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
+    """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
+    poses = iso9283(design)
+    for _ in range(cycles or 30):
+        for goal in poses[::-1]:
+            writer.settle(goal)
+
+
 def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
@@ -262,7 +270,7 @@ PARTS: dict[str, Callable[..., None]] = {
     "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
-    "division": _division,
+    "division": _division, "iso9283": _iso9283,
 }
 TEXTS = ("commands", "division")  # parts that take more than a number
 

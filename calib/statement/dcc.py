@@ -1,7 +1,8 @@
 """A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units.
 
-No package carries the schema files, so that what is written is checked against them outside: DCC 3.2.0 with D-SI 2.1.0 finds no error in it but
-the version's own number; `dcc-validate` of dcc-json-toolkit fetches and applies the one it names. Who calibrated, for whom and where is for the owner to say; what is not said stands as "not stated".
+No package carries the schema files, so that what is written is checked against them outside: DCC 3.2.0 with D-SI 2.1.0 finds no error in it
+but the version's own number; `dcc-validate` of dcc-json-toolkit fetches and applies the one it names. Who calibrated, for whom and where is
+for the owner to say; what is not said stands as "not stated".
 Source: Physikalisch-Technische Bundesanstalt, DCC 3.3.0 (https://ptb.de/dcc/v3.3.0) and D-SI 2.2.1 (https://ptb.de/si).
 """
 

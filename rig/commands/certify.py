@@ -12,6 +12,7 @@ from rig.errors import RigError
 
 if TYPE_CHECKING:
     from calib.pipeline import Sampled
+    from calib.statement import dcc
     from calib.statement.certificate import Certificate
     from calib.store import Calibration
     from rig.recording import Recording
@@ -138,7 +139,8 @@ def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress
 
 
 def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:
-    from calib.statement import dcc, tree
+    from calib.statement import dcc as xml
+    from calib.statement import tree
     from rig.files import write_text
 
     if suffix == ".html":
@@ -150,9 +152,15 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
 
         pdf.save(path, made)
     elif suffix == ".xml":
-        write_text(path, dcc.text(made, dcc.Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country, arguments.manufacturer)))
+        write_text(path, xml.text(made, _issuer(arguments)))
     else:
         write_text(path, tree.text(made))
+
+
+def _issuer(arguments: Namespace) -> dcc.Issuer:
+    from calib.statement.dcc import Issuer
+
+    return Issuer(arguments.laboratory, arguments.person, arguments.customer, arguments.country, arguments.manufacturer)
 
 
 def _say(made: Certificate) -> None:

@@ -8,8 +8,8 @@ from rig.errors import FileError, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference
 
-EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "ladder": 96, "payload": 36, "moving": 60, "zigzag": 60,
-            "warmup": 48, "repeat": 30}
+EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "iso9283": 150, "ladder": 96, "payload": 36, "moving": 60,
+            "zigzag": 60, "warmup": 48, "repeat": 30}
 
 
 @pytest.mark.parametrize("part", [name for name in plan.PARTS if name != "commands"])
@@ -46,6 +46,18 @@ def test_a_ladder_approaches_every_length_from_both_sides(design):
     for strut in range(6):
         own = lengths[8 * strut : 8 * strut + 8, strut] - middle[strut]
         assert np.sign(own[[0, 2, 4, 6]]).tolist() == [1, -1, 1, -1] and np.abs(own[[1, 3, 5, 7]]).max() < 1e-6
+
+
+def test_iso_9283_visits_the_cubes_middle_and_four_corners_of_a_plane_in_turn(design):
+    poses = plan.iso9283(design)
+    p = hexapod.forward(poses, design.mechanism).translation
+    arms = p[1:] - p[0]
+    half = np.abs(arms).max()
+    assert p[0] == pytest.approx(design.mechanism.home.translation, abs=1e-9) and np.abs(arms) == pytest.approx(half, abs=1e-9) and half > 0.005
+    assert arms[:, 1] == pytest.approx(arms[:, 2], abs=1e-9) and np.ptp(arms, axis=0) == pytest.approx(2 * half, abs=1e-9)
+    found = plan.build(design, "iso9283:3")
+    rows = np.searchsorted(found.commands.t, found.t) - 1
+    assert np.abs(found.commands.values[rows] - np.tile(poses[::-1], (3, 1))).max() < 1e-6
 
 
 def test_axes_translate_along_and_turn_about_the_axes(design):

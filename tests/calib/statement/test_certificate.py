@@ -178,7 +178,8 @@ CHILDREN = {  # of elements of DCC 3.3.0, in their order; those with a mark must
     "digitalCalibrationCertificate": "administrativeData! measurementResults!", "software": "name! release!",
     "statement": "name traceable norm declaration conformity",
     "coreData": "countryCodeISO3166_1! usedLangCodeISO639_1! mandatoryLangCodeISO639_1! uniqueIdentifier! beginPerformanceDate! endPerformanceDate! "
-                "performanceLocation! issueDate", "item": "name! manufacturer! identifications!", "manufacturer": "name!", "identification": "issuer! value! name",
+                "performanceLocation! issueDate", "item": "name! manufacturer! identifications!", "manufacturer": "name!",
+    "identification": "issuer! value! name",
     "contact": "name! location!", "customer": "name! location!", "respPerson": "person! mainSigner", "measurementResults": "measurementResult!",
     "measurementResult": "name! description usedMethods influenceConditions results!", "usedMethod": "name! norm",
     "influenceCondition": "name! data!",
