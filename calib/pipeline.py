@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.samples import Samples, samples
+from calib.samples import Samples, in_plane, samples
 from rig.errors import NotEnoughData, RigError
 from rig.observed import Corners, Poses
 from rig.recording import Recording
@@ -40,13 +40,19 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
-        return Sampled(_from_poses(recording, poses), "poses.csv", None, None)
+        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
     measured, collected = measure_recording(recording, free, progress=progress, look=look)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
-    return Sampled(samples(recording, measured.frames, measured.T_base_platform, own, measured.common), source, measured, collected)
+    found = samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    return Sampled(freed(recording, found), source, measured, collected)
+
+
+def freed(recording: Recording, found: Samples) -> Samples:
+    """What measured poses say of the freedoms that a recording's machine has."""
+    return in_plane(found) if recording.design.mechanism.kind == "planar2" else found
 
 
 def _from_poses(recording: Recording, poses: Poses) -> Samples:

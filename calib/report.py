@@ -22,8 +22,9 @@ from calib.identify.geometry import Identified
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms
-from rig.design import Hexapod
 from rig.files import write_text
+from rig.kinds import Struts
+from rig.machine_file import GEOMETRY
 from rig.pose import vector
 from rig.recording import Recording
 from vision.bundle.places import Places
@@ -228,7 +229,7 @@ def _combinations(calibration: Calibration, found: Identified) -> str:
     """Every combination of the parameters with how well the poses tell it, folded."""
     parts, seen = combinations(found.root, calibration.correction.fitted)
     rows = [(part.name, f"{part.sigma * 1e6:.2f}" if part.sigma < 1e-2 else "not told") for part in parts]
-    return (f"<details><summary>The 42 combinations that the poses tell, the worst first (condition number {seen.condition:.0f})</summary>"
+    return (f"<details><summary>The {len(parts)} combinations that the poses tell, the worst first (condition number {seen.condition:.0f})</summary>"
             + table(("combination", "standard error by the poses alone, um"), rows) + "</details>")
 
 
@@ -248,11 +249,11 @@ def before_after(before: np.ndarray, after: np.ndarray, frames: np.ndarray) -> F
     return figure
 
 
-def _corrections(correction: Correction[Hexapod, Radial], samples: Samples) -> Figure:
+def _corrections(correction: Correction[Struts, Radial], samples: Samples) -> Figure:
     seen = samples.effective - mechanisms.of(correction.nominal).inverse(samples.T_base_platform, correction.nominal)
     modelled = correction.summand(samples.effective)
     figure = Figure(figsize=(11, 5), layout="constrained")
-    for i, axes in enumerate(figure.subplots(2, 3).ravel()):
+    for i, axes in enumerate(figure.subplots(2, seen.shape[1] // 2, squeeze=False).ravel()):
         order = np.argsort(samples.commanded[:, i])
         axes.plot(samples.commanded[:, i] * 1e3, seen[:, i] * 1e3, ".", ms=4)
         axes.plot(samples.commanded[order, i] * 1e3, modelled[order, i] * 1e3, "x", ms=3, alpha=0.6)
@@ -264,7 +265,7 @@ def _left(samples: Samples, found: Identified) -> Figure:
     figure = Figure(figsize=(11, 3), layout="constrained")
     axes = figure.subplots()
     sigma = np.sqrt(np.einsum("nii->ni", found.residual_covariance).mean())
-    for i in range(6):
+    for i in range(found.residuals.shape[1]):
         axes.plot(samples.frame, found.residuals[:, i] * 1e6, ".", ms=3, label=f"strut {i + 1}")
     axes.axhspan(-2 * sigma * 1e6, 2 * sigma * 1e6, color="grey", alpha=0.2, label="2 sigma of a pose")
     axes.set(xlabel="frame", ylabel="strut, um")
@@ -275,14 +276,14 @@ def _left(samples: Samples, found: Identified) -> Figure:
 def _parameters(calibration: Calibration) -> str:
     fitted, nominal = calibration.correction.fitted, calibration.correction.nominal
     sigma = np.sqrt(np.diag(calibration.covariance))
-    rows = []
-    for name, start in (("base_joints", 0), ("platform_joints", 18), ("strut_zeros", 36)):
-        change = (getattr(fitted, name) - getattr(nominal, name)).reshape(6, -1)
-        for i in range(6):
-            width = change.shape[1]
-            u = sigma[start + width * i : start + width * (i + 1)]
-            rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(change[i], u)),
-                         *[""] * (3 - width)))
+    rows, start = [], 0
+    for name in GEOMETRY[nominal.kind]:
+        change = (getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)
+        for i, own in enumerate(change):
+            u = sigma[start : start + len(own)]
+            rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(own, u)),
+                         *[""] * (3 - len(own))))
+            start += len(own)
     return table(("change from nominal, mm (k = 2)", "x or zero", "y", "z"), rows)
 
 

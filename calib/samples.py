@@ -1,6 +1,6 @@
 """What was commanded and what was measured, side by side: the samples that everything in calib is fitted to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -62,6 +62,25 @@ def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTran
     at = np.searchsorted(known, frames)
     common = np.zeros((len(frames), 6, 0)) if common is None else common
     return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common)
+
+
+def in_plane(samples: Samples) -> Samples:
+    """The samples of a hinge that moves in the plane z = 0: where it was measured in that plane, and nothing across it or of how it is turned.
+
+    There poses and their covariance are 0: no strut moves the hinge so, and what is seen of it says how the plate sits on the hinge.
+    """
+    R = samples.T_base_platform.rotation.as_matrix()
+    place, covariance = samples.T_base_platform.translation * [1, 1, 0], np.zeros_like(samples.covariance)
+    covariance[:, :2, :2] = (R @ samples.covariance[:, :3, :3] @ np.swapaxes(R, 1, 2))[:, :2, :2]
+    common = np.zeros_like(samples.common)
+    common[:, :2] = (R @ samples.common[:, :3])[:, :2]
+    return replace(samples, T_base_platform=RigidTransform.from_translation(place), covariance=covariance, common=common)
+
+
+def precision(covariance: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) inverses of covariances (n, 6, 6), 0 in the directions in which a machine has no freedom (see `in_plane`)."""
+    none = np.diag(1.0 * ~covariance.any(axis=(0, 1)))
+    return np.linalg.inv(covariance + none) - none
 
 
 def blocks(count: int, folds: int) -> np.ndarray:

@@ -24,12 +24,14 @@ from calib.certify.claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
 from calib.correct.physics_file import physics_in, physics_out
+from calib.identify.geometry import parameters
 from calib.correct.interpolate.radial import Radial
 from calib.workspace.file import workspace_in, workspace_out
 from rig import json_file
-from rig.design import Arm, Hexapod
+from rig.design import Arm, Hexapod, Planar2
 from rig.entries import LARGEST_RIG, Entries
 from rig.provenance import flat, marks, shared
+from rig.kinds import Struts
 from rig.recording import Recording
 from rig.files import write_text
 from rig.pose import vector
@@ -43,7 +45,8 @@ FRAMES = ("T_base_platform maps platform coordinates to the base; base and platf
 ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
               "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
               "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right")
-PARAMETERS = "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6"
+PARAMETERS = {"hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
+              "planar2": "base joints 1, 2 (x y), strut zeros 1, 2"}
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
 
 _NONE = Figures(0, (math.nan,) * 3, (math.nan,) * 3, (math.nan,) * 6, (math.nan,) * 2)
@@ -99,7 +102,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
     tree = {
         "schema": SCHEMA if calibration.physics is None else WITH_PHYSICS, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
-        "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS,
+        "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS[correction.nominal.kind],
         "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
@@ -122,16 +125,16 @@ def load(path: Path | str) -> Calibration:
                   f"{len(nominal.axes)}")
     correction = _correction_in(tree, nominal, fitted)
     arm = isinstance(correction, ArmCorrection)
-    count = len(names(correction.nominal)) if arm else 42
+    count = len(names(correction.nominal)) if isinstance(correction, ArmCorrection) else len(parameters(correction.nominal))
     fit = tree.table("fit")
-    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter"),
+    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter", len(nominal.axes)),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
                        physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None,
                        workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None)
 
 
-def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm) -> Correction[Any, Any]:
+def _correction_in(tree: Entries, nominal: Struts | Arm, fitted: Struts | Arm) -> Correction[Any, Any]:
     axes = len(nominal.axes)
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
@@ -139,18 +142,23 @@ def _correction_in(tree: Entries, nominal: Hexapod | Arm, fitted: Hexapod | Arm)
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension)
 
 
-def mechanism_out(mechanism: Hexapod | Arm) -> dict[str, Any]:
-    """dict of a Hexapod or an Arm, as JSON holds it."""
+def mechanism_out(mechanism: Struts | Arm) -> dict[str, Any]:
+    """dict of a mechanism, as JSON holds it."""
     if isinstance(mechanism, Arm):
         return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
                 "tool": _pose_out(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
+    if isinstance(mechanism, Planar2):
+        return {"kind": "planar2", **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")}}
     return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
             "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
 
-def mechanism_in(table: Entries) -> Hexapod | Arm:
-    """Hexapod or Arm of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
-    kind = table.text("kind", ("hexapod", "arm"))
+def mechanism_in(table: Entries) -> Struts | Arm:
+    """The mechanism of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
+    kind = table.text("kind", ("hexapod", "planar2", "arm"))
+    if kind == "planar2":
+        return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
+                       table.array("strut_zeros", (2,), length_limit=LARGEST_RIG))
     if kind == "arm":
         rows = table.get("joints")
         columns = len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
@@ -205,10 +213,11 @@ def covariance_in(tree: Entries, count: int, key: str = "parameter_covariance") 
     return covariance
 
 
-def _spread_in(tree: Entries, key: str) -> np.ndarray:
+def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
     values = tree.array(key, (None,))
-    if len(values) not in ((3, 6) if key == "pose_scatter" else (6,)):  # 3: an arm whose rotations were never measured
-        tree.fail(f"{key} must have 6 numbers, got {len(values)}", key)
+    counts = (6, 3) if key == "pose_scatter" else (axes,)  # 3: an arm whose rotations were never measured
+    if len(values) not in counts:
+        tree.fail(f"{key} must have {counts[0]} numbers, got {len(values)}", key)
     if (values < 0).any():
         tree.fail(f"{key} must not be negative, got {values.tolist()}", key)
     return values

@@ -4,6 +4,7 @@ from rig.design import Arm, Free, Hexapod, Planar2
 from rig.errors import RigError
 
 Mechanism = Hexapod | Planar2 | Arm | Free
+Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts
 
 
 def hexapod_of(mechanism: Mechanism) -> Hexapod:
@@ -13,7 +14,7 @@ def hexapod_of(mechanism: Mechanism) -> Hexapod:
     return mechanism
 
 
-def struts_of(mechanism: Mechanism) -> Hexapod | Planar2:
+def struts_of(mechanism: Mechanism) -> Struts:
     """The mechanism, which moves a platform on struts. Raises RigError for another kind."""
     if not isinstance(mechanism, Hexapod | Planar2):
         raise RigError(f"this takes a platform on struts, not a mechanism of kind {mechanism.kind!r}")

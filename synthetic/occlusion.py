@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design
-from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius
+from rig.design import Design, Hexapod, Planar2
+from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius, strut_ends
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
@@ -19,14 +19,14 @@ def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, e
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
     ends = points - (points - eye) / length * OWN_DEPTH
     matrix = T_base_platform.as_matrix()
-    if design.mechanism.kind == "hexapod":
-        low = design.mechanism.base_joints
-        high = design.mechanism.platform_joints @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3]
-        radius = np.linalg.norm(low, axis=1).mean() / 2
-        for i in range(6):
-            middle = low[i] + SHARE * (high[:, i] - low[i])
-            blocked |= _through_rod(eye, ends, np.broadcast_to(low[i], middle.shape)[frame], middle[frame], STRUT_RADIUS * radius)
+    if isinstance(design.mechanism, Hexapod | Planar2):
+        low, high = strut_ends(design.mechanism, T_base_platform)
+        radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean() / 2
+        for i in range(len(design.mechanism.axes)):
+            middle = low[:, i] + SHARE * (high[:, i] - low[:, i])
+            blocked |= _through_rod(eye, ends, low[frame, i], middle[frame], STRUT_RADIUS * radius)
             blocked |= _through_rod(eye, ends, middle[frame], high[frame, i], ROD_RADIUS * radius)
+    if isinstance(design.mechanism, Hexapod):
         for body, joints in (("base", design.mechanism.base_joints), ("platform", design.mechanism.platform_joints)):
             a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if body == "platform" else (eye, ends)
             blocked |= _through_disc(a, b, joints[:, 2].mean() - 0.002, plate_radius(body, design), PLATE)

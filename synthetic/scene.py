@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import FACES, Arm, Design, Free, Hexapod, Planar2, Target
-from rig.kinds import hexapod_of
+from rig.kinds import Struts, hexapod_of
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
@@ -69,7 +69,9 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
     found = []
     mechanism = design.mechanism
     if mechanism.kind == "hexapod":
-        found += _plate("base", mechanism.base_joints, design) + _plate("platform", mechanism.platform_joints, design) + _struts(mechanism)
+        found += _plate("base", mechanism.base_joints, design) + _plate("platform", mechanism.platform_joints, design)
+    if isinstance(mechanism, Hexapod | Planar2):
+        found += _struts(mechanism)
     placed = markers if markers is not None else marker_map(design)
     for target in design.targets:
         found += _blank_faces(target)
@@ -82,8 +84,8 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
 def body_poses(mechanism: Hexapod | Planar2 | Arm | Free, T_base_platform: RigidTransform) -> dict[str, np.ndarray]:
     """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks."""
     poses = {"world": np.eye(4), "base": np.eye(4), "platform": T_base_platform.as_matrix()}
-    if mechanism.kind == "hexapod":
-        for i, (low, high) in enumerate(zip(mechanism.base_joints, T_base_platform.apply(mechanism.platform_joints))):
+    if isinstance(mechanism, Hexapod | Planar2):
+        for i, (low, high) in enumerate(zip(*strut_ends(mechanism, T_base_platform))):
             along = (high - low) / np.linalg.norm(high - low)
             side = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])
             side /= np.linalg.norm(side)
@@ -127,10 +129,21 @@ def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
     return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
 
 
-def _struts(hexapod: Hexapod) -> list[Part]:
-    radius = np.linalg.norm(hexapod.base_joints, axis=1).mean()
+def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+    """(lower, upper) (..., axes, 3) m, both ends of the struts in the base frame at poses (...)."""
+    matrix = T_base_platform.as_matrix()
+    if isinstance(mechanism, Planar2):
+        low, joints = np.pad(mechanism.base_joints, ((0, 0), (0, 1))), np.zeros((2, 3))
+    else:
+        low, joints = mechanism.base_joints, mechanism.platform_joints
+    high = joints @ np.swapaxes(matrix[..., :3, :3], -1, -2) + matrix[..., None, :3, 3]
+    return np.broadcast_to(low, high.shape), high
+
+
+def _struts(mechanism: Struts) -> list[Part]:
+    radius = np.linalg.norm(mechanism.base_joints, axis=1).mean()
     found = []
-    for i in range(6):
+    for i in range(len(mechanism.axes)):
         for name, width, grey in (("lower", STRUT_RADIUS, METAL), ("upper", ROD_RADIUS, 0.6)):
             rod = trimesh.creation.cylinder(radius=width * radius / 2, height=1.0, sections=24)
             rod.apply_translation([0, 0, 0.5])

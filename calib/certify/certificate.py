@@ -12,11 +12,10 @@ from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.correct.correction import Correction, calibrate
 from calib.correct.interpolate.radial import Radial
-from calib.identify.geometry import Identified, identify, pose_jacobian
-from calib.samples import Samples
+from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
+from calib.samples import Samples, precision
 from calib.identify.tolerance import tolerance
-from rig.design import Hexapod
-from rig.mechanisms import hexapod as mechanism
+from rig.kinds import Struts
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
@@ -28,7 +27,7 @@ class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them"""
 
-    correction: Correction[Hexapod, Radial]
+    correction: Correction[Struts, Radial]
     found: Identified
     label: np.ndarray
     held_out: HeldOut | None
@@ -40,18 +39,18 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
 
     docs/mathematics.md (21)
 
-    calibration : Calibration of a hexapod
+    calibration : Calibration of a machine on struts
     """
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
-    to_pose = np.linalg.inv(mechanism.jacobian(T_base_platform, fitted))
-    own = np.broadcast_to(calibration.scatter**2, (len(J), 6))
+    back = to_pose(T_base_platform, fitted)
+    own = np.broadcast_to(calibration.scatter**2, (len(J), len(fitted.axes)))
     if calibration.correction.extension is not None:
         own = own + calibration.correction.extension.error(calibration.correction.inverse(T_base_platform)) ** 2
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (to_pose * own[:, None]) @ np.swapaxes(to_pose, 1, 2)
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (back * own[:, None]) @ np.swapaxes(back, 1, 2)
 
 
-def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
+def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
             progress: Progress | None = None) -> Certified:
     """Certified: calibrated on all samples, and what was left at configurations held out in turn.
 
@@ -71,8 +70,8 @@ def certify(samples: Samples, nominal: Hexapod, rng: np.random.Generator,
     before, plain = _held_out(samples, nominal, label, "none", found.prior, said)
     if any(correction.remainder):
         _, corrected = _held_out(samples, nominal, label, correction.remainder, found.prior, said)
-        precision = np.linalg.inv(samples.total_covariance())
-        loss = [np.einsum("ni,nij,nj->n", e, precision, e) for e in (plain, corrected)]
+        weight = precision(samples.total_covariance())
+        loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(plain), np.nan_to_num(corrected))]
         if pays(loss[0] - loss[1]):
             return Certified(correction, found, label, compare(before, corrected, samples.total_covariance(), rng, label))
         correction, found = calibrate(samples, nominal, "none")
@@ -83,7 +82,7 @@ def silent(label: str, done: int, of: int) -> None:
     """A Progress that says nothing."""
 
 
-def _held_out(samples: Samples, nominal: Hexapod, label: np.ndarray, remainder: str | tuple[Radial | None, ...], prior: np.ndarray,
+def _held_out(samples: Samples, nominal: Struts, label: np.ndarray, remainder: str | tuple[Radial | None, ...], prior: np.ndarray,
               said: Progress) -> tuple[np.ndarray, np.ndarray]:
     fold = folds(label, min(FOLDS, label.max() + 1))
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
@@ -102,7 +101,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     good = done.found.inliers
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
-    each = witnesses(kept, label, np.linalg.inv(mechanism.jacobian(kept.T_base_platform, nominal)))
+    each = witnesses(kept, label, to_pose(kept.T_base_platform, nominal))
     offset = done.correction.rho(each.effective)
     found = identify(each, nominal, offset, done.found.prior)
     return promise(found, tolerance(found, nominal), done.correction, each, rng)

@@ -15,12 +15,12 @@ import numpy as np
 from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
 from calib.correct.interpolate.radial import Radial
-from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian
+from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian, to_pose
 from calib.samples import Samples
 from calib.identify.tolerance import Tolerance, spread
 from calib.workspace.region import closing
-from rig.design import Hexapod
-from rig.mechanisms import hexapod as mechanism
+from rig import mechanisms
+from rig.kinds import Struts
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
 
@@ -126,9 +126,9 @@ def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) 
     return (TRUSTED + cost) / rng.chisquare(TRUSTED + freedom, count)
 
 
-def promise(found: Identified, tolerance: Tolerance, correction: Correction[Hexapod, Radial], samples: Samples,
+def promise(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
             rng: np.random.Generator) -> Claim:
-    """Claim of a hexapod's calibration.
+    """Claim of a calibration of a machine on struts.
 
     found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator
@@ -137,49 +137,49 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Hexa
     determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
     nominal, fitted = correction.nominal, correction.fitted
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all struts free of each other"
-    told = Told(distinct, determined, better, 42, _tolerance_in_words(tolerance))
+    told = Told(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return too_few(told, middle)
     commands = low_discrepancy(nominal.strut_range, PLACES, FILL)
     commands, T = closing(commands, correction)
-    offset = difference(T, mechanism.forward(commands, nominal))
-    to_pose = np.linalg.inv(mechanism.jacobian(T, fitted))
-    own = _scatters(found, rng) @ (to_pose**2).mean(axis=0).reshape(2, 3, 6).sum(axis=1).T
+    offset = difference(T, mechanisms.of(nominal).forward(commands, nominal))
+    back = to_pose(T, fitted)
+    own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T
     if correction.extension is not None:
-        own = own + extension_scatter(correction, commands, np.linalg.inv(to_pose))
+        own = own + extension_scatter(correction, commands, back)
     workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
     return claimed(workspace, draws, samples, told, rng)
 
 
-def extension_scatter(correction: Correction[Hexapod, Radial], commands: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+def extension_scatter(correction: Correction[Struts, Radial], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
     """(2,) m^2 and rad^2, mean square of the pose's error by that of a Correction's extension at commands (m, axes).
 
-    jacobian : (m, axes, 6) of the struts with the pose there
+    back : (m, 6, axes) change of the pose with the struts there
     """
     if correction.extension is None:
         return np.zeros(2)
-    square = np.linalg.inv(jacobian) ** 2 @ (correction.extension.error(commands) ** 2)[..., None]
+    square = back**2 @ (correction.extension.error(commands) ** 2)[..., None]
     return square.mean(axis=0).reshape(2, 3).sum(axis=1)
 
 
-def _machines(found: Identified, tolerance: Tolerance, nominal: Hexapod, rng: np.random.Generator) -> np.ndarray:
-    """(DRAWS, 42) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
+def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> np.ndarray:
+    """(DRAWS, p) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
-    inflated = dispersion(found.cost, 6 * int(found.inliers.sum()), DRAWS, rng)
-    z = rng.normal(size=(DRAWS, 42))
-    H = tolerance.information / inflated[:, None, None] + np.eye(42) / spread(tolerance.widths)[pick][:, :, None] ** 2
+    inflated = dispersion(found.cost, len(nominal.axes) * int(found.inliers.sum()), DRAWS, rng)
+    z = rng.normal(size=(DRAWS, len(found.prior)))
+    H = tolerance.information / inflated[:, None, None] + np.eye(len(found.prior)) / spread(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
     L = np.linalg.cholesky(H)
     mean = np.linalg.solve(H, (tolerance.right / inflated[:, None])[..., None])[..., 0]
     return mean + np.linalg.solve(np.swapaxes(L, 1, 2), z[..., None])[..., 0]
 
 
 def _scatters(found: Identified, rng: np.random.Generator) -> np.ndarray:
-    """(DRAWS, 6) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
+    """(DRAWS, axes) m^2, draws of what each strut scatters by itself, where it was found to: few residuals tell it badly."""
     count = int(found.inliers.sum())
-    freedom = max(count - 7, 1)
+    freedom = max(count - len(found.prior) // len(found.scatter), 1)
     noise = np.einsum("nii->ni", found.residual_covariance)[found.inliers].mean(axis=0)
-    seen = (found.scatter**2 + noise) * freedom / rng.chisquare(freedom, (DRAWS, 6))
+    seen = (found.scatter**2 + noise) * freedom / rng.chisquare(freedom, (DRAWS, len(noise)))
     return np.where(found.scatter > 0, np.maximum(seen - noise, 0), 0)
 
 

@@ -9,10 +9,9 @@ from calib.certify.calibration import Calibration
 from calib.correct.physics import Physics
 from calib.correct.driven import Machine, held, memory, unremembered
 from calib.correct.route import Pace, Route, timed, untimed
-from calib.identify.geometry import pose_jacobian
+from calib.identify.geometry import pose_jacobian, strut_jacobian, to_pose
 from rig import mechanisms
 from rig.errors import NotConverged, Unreachable
-from rig.mechanisms import hexapod
 from rig.plan import SPEED, UNSTATED_SPEED
 from rig.recording import Sensors
 
@@ -63,17 +62,18 @@ def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace
     if given is not None:
         return Commanded(given, route, None, ())
     values = held(of, T, route, plain) if of.effects else plain
-    if calibration.correction.fitted.kind != "hexapod":
+    if calibration.correction.fitted.kind == "arm":
         return Commanded(values, route, None, ())
-    to_pose = np.linalg.inv(hexapod.jacobian(T, calibration.correction.fitted))
+    back = to_pose(T, calibration.correction.fitted)
     base = _covariance(calibration, of, T, route, values)
     if pace is not None and approach != "never" and memory(of).any():
-        found = _approached(of, T, route, values, pace, _struts(base.covariance, to_pose) if approach == "auto" else None)
+        sure = _struts(base.covariance, strut_jacobian(T, calibration.correction.fitted)) if approach == "auto" else None
+        found = _approached(of, T, route, values, pace, sure)
         if found is not route:
             route, values = found, held(of, T, found, values)
             base = _covariance(calibration, of, T, route, values)
     doubt = unremembered(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
-    return Commanded(values, route, base.covariance + np.einsum("nij,nj,nkj->nik", to_pose, doubt, to_pose), base.missing)
+    return Commanded(values, route, base.covariance + np.einsum("nij,nj,nkj->nik", back, doubt, back), base.missing)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None) -> Route:
@@ -110,9 +110,8 @@ def _exists(of: Machine, T: RigidTransform, values: np.ndarray) -> np.ndarray:
     return there
 
 
-def _struts(covariance: np.ndarray, to_pose: np.ndarray) -> np.ndarray:
-    """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to."""
-    A = np.linalg.inv(to_pose)
+def _struts(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to. A : (n, axes, 6) of the axes with the pose"""
     return np.einsum("nij,njk,nik->ni", A, covariance, A)
 
 
@@ -120,24 +119,24 @@ def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route:
     """_Spread: parameters of geometry and physics together, the struts' own scatter, channels that nobody logged, and what comes again at no
     moment that anybody knows. docs/mathematics.md (21)"""
     fitted, physics = calibration.correction.fitted, calibration.physics
-    to_pose, J = np.linalg.inv(hexapod.jacobian(T, fitted)), pose_jacobian(T, fitted)
+    back, J = to_pose(T, fitted), pose_jacobian(T, fitted)
     known = calibration.covariance
-    parts, missing = [to_pose * calibration.scatter], []
+    parts, missing = [back * calibration.scatter], []
     if physics is not None:
         commands, t = route.commands(values), route.times
         middle = of.effective(commands, t, T)
-        J = np.concatenate([J, to_pose @ _columns(physics, of, route, values, T)], axis=2)
+        J = np.concatenate([J, back @ _columns(physics, of, route, values, T)], axis=2)
         known = np.block([[known, physics.cross], [physics.cross.T, physics.own]])
         for name in of.missing:
             course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
             moved = of.effective(commands, t, T, sensors=Sensors(of.sensors.t, course)) - middle
             if moved.any():
-                parts.append(to_pose @ moved[..., None])
+                parts.append(back @ moved[..., None])
                 missing.append(name)
         any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
         for effect in physics.scattering():
             ends = [of.effective(commands, any_time, T, effects) for effects in (of.effects, (*of.effects, effect))]
-            moved = to_pose @ (ends[1] - ends[0])[..., None]
+            moved = back @ (ends[1] - ends[0])[..., None]
             parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
     return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), tuple(missing))
 

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.samples import Samples, blocks
-from rig.design import Arm, Hexapod
+from calib.samples import Samples, blocks, precision
+from rig.design import Arm
+from rig.kinds import Struts
 from rig.pose import difference, exp
 
 SAME = 1e-3  # of an axis' range, within which commands are one configuration
@@ -27,7 +28,7 @@ def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     return out
 
 
-def ranges(mechanism: Hexapod | Arm) -> np.ndarray:
+def ranges(mechanism: Struts | Arm) -> np.ndarray:
     """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
     return mechanism.limits if isinstance(mechanism, Arm) else mechanism.strut_range
 
@@ -51,12 +52,12 @@ def witnesses(samples: Samples, label: np.ndarray, to_pose: np.ndarray) -> Sampl
     moved = samples.T_base_platform * exp(np.einsum("nij,nj->ni", to_pose, effective[label] - samples.effective))
     apart = difference(RigidTransform.from_matrix(moved.as_matrix()[first][label]), moved)
     unseen = np.isinf(samples.covariance)  # rotations that nothing measured
-    weight = np.linalg.inv(np.where(unseen, 1.0, samples.covariance))
+    weight = precision(np.where(unseen, 1.0, samples.covariance))
     total, mean, common = (np.zeros((count, *part.shape[1:])) for part in (weight, apart, samples.common))
     np.add.at(total, label, weight)
     np.add.at(mean, label, (weight @ apart[..., None])[..., 0])
     np.add.at(common, label, weight @ samples.common)
-    covariance = np.linalg.inv(total)
+    covariance = precision(total)
     poses = moved[first] * exp((covariance @ mean[..., None])[..., 0])
     return Samples(samples.frame[first], samples.t[first], commanded, poses, np.where(unseen[first], np.inf, covariance), covariance @ common,
                    effective - commanded)

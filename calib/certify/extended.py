@@ -9,21 +9,20 @@ import numpy as np
 from calib.certify.certificate import FOLDS, Certified, Progress, silent
 from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
-from calib.certify.held_out import HeldOut, compare, pays
+from calib.certify.held_out import HeldOut, compare, error_of, pays
 from calib.correct.correction import Correction
 from calib.correct.extend import corrected, extend, geometry_of, left, left_by, with_pass
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.grid import lattice
 from calib.correct.interpolate.weighted import Weighted
-from calib.identify.geometry import Identified, identify, pose_jacobian
-from calib.samples import Samples
+from calib.identify.geometry import Identified, identify, parameters, pose_jacobian, to_pose
+from calib.samples import Samples, precision
 from calib.workspace.region import closing
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
-from rig.design import Hexapod
 from rig.errors import RigError
-from rig.mechanisms import hexapod as mechanism
+from rig.kinds import Struts
 from rig.pose import difference
 
 AUTO = "auto"
@@ -53,7 +52,7 @@ class Tried(NamedTuple):
     chosen: bool
 
 
-def certify_extended(samples: Samples, nominal: Hexapod, asked: Asked, rng: np.random.Generator,
+def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator,
                      progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
@@ -88,12 +87,12 @@ def certify_onto(samples: Samples, correction: Correction, kind: str, rng: np.ra
     def stand(some: Samples) -> Stand:
         return Stand(left_by(some, correction), lambda field: with_pass(correction, field))
 
-    labelled = nominal, labels(samples.commanded, ranges(nominal)), replace(found, hexapod=correction.fitted)
+    labelled = nominal, labels(samples.commanded, ranges(nominal)), replace(found, mechanism=correction.fitted)
     done, tried = _extended(samples, labelled, stand, kind, rng, progress or silent)
     return replace(done, found=replace(done.found, residuals=left_by(samples, done.correction).values)), tried
 
 
-def _extended(samples: Samples, basis: tuple[Hexapod, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
+def _extended(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
               rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
     """What one way, or of all ways the best, makes of what a stand leaves; basis : nominal, label (n,) of the samples, the geometry."""
     nominal, label, found = basis
@@ -121,7 +120,7 @@ def _extended(samples: Samples, basis: tuple[Hexapod, np.ndarray, Identified], s
     return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
 
 
-def _without(samples: Samples, nominal: Hexapod, found: Identified, field: Field, alone: bool) -> Identified:
+def _without(samples: Samples, nominal: Struts, found: Identified, field: Field, alone: bool) -> Identified:
     """The Identified once its field is taken off: what the field corrects is no scatter of the struts and widens no parameter."""
     taken = field.value(samples.commanded)
     if not alone:
@@ -140,7 +139,7 @@ class _Outcome(NamedTuple):
     after: dict[str, np.ndarray]
 
 
-def _splits(samples: Samples, label: np.ndarray, nominal: Hexapod) -> list[tuple[np.ndarray, np.ndarray]]:
+def _splits(samples: Samples, label: np.ndarray, nominal: Struts) -> list[tuple[np.ndarray, np.ndarray]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
@@ -158,7 +157,7 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Hexapod) -> list[tuple
     return [(on & ~plane, plane) for plane in planes[::every]]
 
 
-def _held_out(samples: Samples, nominal: Hexapod, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
+def _held_out(samples: Samples, nominal: Struts, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
               splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
     rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
     said("holding configurations out", 0, len(splits))
@@ -166,28 +165,28 @@ def _held_out(samples: Samples, nominal: Hexapod, stand: Callable[[Samples], "St
         rest = samples.take(out)
         known, correct = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
-        before.append(difference(mechanisms.of(nominal).forward(rest.commanded, nominal), rest.T_base_platform))
+        before.append(error_of(mechanisms.of(nominal).forward(rest.commanded, nominal), rest))
         for name, field in fields.items():
             correction = correct(None if field is None else extend(known, name, field))
-            after[name].append(difference(correction.predict(rest.commanded), rest.T_base_platform))
+            after[name].append(error_of(correction.predict(rest.commanded), rest))
         said("holding configurations out", k + 1, len(splits))
     at = np.concatenate(rows)
     dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
     return _Outcome(dense, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
 
 
-def _scaled(field: Weighted, outcome: _Outcome, held: HeldOut, nominal: Hexapod) -> Weighted:
+def _scaled(field: Weighted, outcome: _Outcome, held: HeldOut, nominal: Struts) -> Weighted:
     """The field with its misfit as the poses held out have it: their errors beyond what measuring them adds, over what the field says of itself."""
-    to_pose = np.linalg.inv(mechanisms.of(nominal).jacobian(outcome.samples.T_base_platform, nominal))  # type: ignore[attr-defined]
-    said = (to_pose[:, :3] ** 2 @ (field.error(outcome.samples.commanded) ** 2)[..., None]).sum(axis=1).mean()
+    back = to_pose(outcome.samples.T_base_platform, nominal)
+    said = (back[:, :3] ** 2 @ (field.error(outcome.samples.commanded) ** 2)[..., None]).sum(axis=1).mean()
     seen = max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
     return replace(field, misfit=field.misfit * np.sqrt(seen / said))  # type: ignore[type-var]
 
 
 def _best(outcome: _Outcome) -> str:
     """The way that leaves least, if it `pays` against doing without."""
-    precision = np.linalg.inv(outcome.samples.total_covariance())
-    loss = {name: np.einsum("ni,nij,nj->n", errors, precision, errors) for name, errors in outcome.after.items()}
+    weight = precision(outcome.samples.total_covariance())
+    loss = {name: np.einsum("ni,nij,nj->n", e, weight, e) for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())}
     best = min(loss, key=lambda name: loss[name].mean())
     return best if pays(loss[NONE] - loss[best]) else NONE
 
@@ -196,7 +195,7 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
     correction: Correction = done.correction
     kinematics = mechanisms.of(correction.nominal)
-    each = witnesses(samples, done.label, np.linalg.inv(kinematics.jacobian(samples.T_base_platform, correction.nominal)))  # type: ignore[attr-defined]
+    each = witnesses(samples, done.label, to_pose(samples.T_base_platform, correction.nominal))
     way = "nothing at all" if correction.extension is None else correction.extension.kind
     told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
@@ -204,8 +203,8 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
         return too_few(told, middle)
     commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), 256, FILL), correction)
     offset = difference(T, kinematics.forward(commands, correction.nominal))
-    own = extension_scatter(correction, commands, mechanism.jacobian(T, correction.fitted))
+    own = extension_scatter(correction, commands, to_pose(T, correction.fitted))
     workspace = Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle)
-    return claimed(workspace, np.zeros((1000, 42)), each, told, rng)
+    return claimed(workspace, np.zeros((1000, len(parameters(correction.nominal)))), each, told, rng)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
@@ -79,12 +80,16 @@ def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
 
 def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """(before, after), both (n, 6): measured pose against the owner's model's and against the corrected model's; NaN where a
-    rotation was not measured."""
+    rotation was not measured, or is not the machine's to give."""
     nominal = mechanisms.of(correction.nominal).forward(samples.commanded, correction.nominal)
-    errors = difference(nominal, samples.T_base_platform), difference(correction.predict(samples.effective), samples.T_base_platform)
-    for one in errors:
-        one[:, 3:][np.isinf(samples.covariance[:, [3, 4, 5], [3, 4, 5]])] = np.nan
-    return errors
+    return error_of(nominal, samples), error_of(correction.predict(samples.effective), samples)
+
+
+def error_of(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
+    """(n, 6) measured poses against these (n,), NaN as `errors_of`."""
+    error, spread = difference(T_base_platform, samples.T_base_platform), samples.covariance[:, [3, 4, 5], [3, 4, 5]]
+    error[:, 3:][np.isinf(spread) | (spread == 0)] = np.nan
+    return error
 
 
 def pays(gain: np.ndarray) -> bool:

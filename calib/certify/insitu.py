@@ -15,6 +15,7 @@ from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples, blocks
 from rig.design import Design, Hexapod, MeasuringLimbs
 from rig.errors import NotEnoughData, RigError
+from rig.kinds import hexapod_of
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import difference, vector
 from rig.recording import LIMBS as CHANNELS, Recording
@@ -129,7 +130,7 @@ def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
 def calibrated(samples: Samples, nominal: Hexapod, sigma: float) -> tuple[Limbs, Identified]:
     """(Limbs, Identified) from Samples as `read` makes them. nominal : Hexapod as stated; sigma : m of one reading"""
     found: Identified = identify(with_readings(samples, nominal, sigma), nominal)
-    return Limbs(found.hexapod, found.covariance, np.hypot(found.scatter, sigma)), found
+    return Limbs(hexapod_of(found.mechanism), found.covariance, np.hypot(found.scatter, sigma)), found
 
 
 def with_readings(samples: Samples, nominal: Hexapod, sigma: float) -> Samples:

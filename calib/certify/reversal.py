@@ -11,9 +11,10 @@ import numpy as np
 
 from calib.certify.held_poses import HeldPoses
 from calib.correct.correction import Correction
+from calib.identify.geometry import strut_jacobian
 from rig import mechanisms
 from rig.design import Arm
-from rig.mechanisms import arm, hexapod
+from rig.mechanisms import arm
 
 POSITIONS, CYCLES = 5, 5  # of ISO 230-2
 
@@ -60,7 +61,7 @@ def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     if isinstance(correction.fitted, Arm):
         return np.linalg.pinv(arm.jacobian(poses.commanded, correction.fitted))
-    return hexapod.jacobian(poses.T_base_platform, correction.fitted)
+    return strut_jacobian(poses.T_base_platform, correction.fitted)
 
 
 def _test(name: str, unit: str, poses: HeldPoses, rows: np.ndarray, axis: int, deviation: np.ndarray, u: float) -> AxisTest | None:

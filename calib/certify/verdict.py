@@ -19,8 +19,9 @@ def verdict(claim: Claim) -> list[str]:
         return [f"no factor is claimed: {claim.reason}", told,
                 "no held-out figure either: what is left at the recorded configurations would only say how well these are known"]
     before, after = claim.before[0], claim.after[0]
+    turned = f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad" if any(claim.before[1]) else ""
     return [f"{factor(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} mm RMS ("
-            f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}), rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad; "
+            f"{after[1] * 1e3:.4f} to {after[2] * 1e3:.4f}){turned}; "
             f"from {configurations}", told,
             f"the workspace is {claim.workspace}; seen there by an instrument like this one, its own errors included: {factor(claim.measured)}"]
 

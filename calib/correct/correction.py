@@ -21,15 +21,16 @@ from calib.correct.interpolate.radial import Radial
 from calib.correct.interpolate.simplex import Simplex
 from calib.samples import Samples
 from rig import mechanisms
-from rig.design import Arm, Hexapod
-from rig.errors import NotConverged, RigError, Unreachable
+from rig.design import Arm, Hexapod, Planar2
+from rig.errors import NotConverged, Unreachable
+from rig.kinds import Struts, struts_of
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
 ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 
-M = TypeVar("M", bound=Hexapod | Arm)
+M = TypeVar("M", bound=Hexapod | Planar2 | Arm)
 R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
 
 
@@ -122,7 +123,7 @@ class Correction(Generic[M, R]):
         return commands
 
 
-def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[str]) -> None:
+def reachable(commands: np.ndarray, mechanism: Struts | Arm, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
     places = mechanisms.places(mechanism)
     shown = [(1e3, "mm") if unit == "m" else (float(np.degrees(1.0)), "degrees") for unit in mechanisms.units(mechanism)]
@@ -138,23 +139,22 @@ def reachable(commands: np.ndarray, mechanism: Hexapod | Arm, labels: Sequence[s
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def calibrate(samples: Samples, nominal: Hexapod, remainder: str | tuple[Radial | None, ...] = "find",
-              prior: np.ndarray | None = None) -> tuple[Correction[Hexapod, Radial], Identified]:
+def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find",
+              prior: np.ndarray | None = None) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
-    samples : Samples; nominal : Hexapod; prior : (42,) m, how good its figures are, or None: as these samples have it
+    samples : Samples; nominal : the owner's; prior : (p,) m, how good its figures are, or None: as these samples have it
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
-    None takes over size and smoothness from there. Raises RigError for another kind of mechanism, NotEnoughData as `identify`
+    None takes over size and smoothness from there. Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
-    if nominal.kind != "hexapod":
-        raise RigError(f"calibration of a mechanism of kind {nominal.kind!r} is not there yet; it knows hexapods")
+    nominal = struts_of(nominal)
     if prior is None:
         prior = tolerance(identify(samples, nominal), nominal).prior
     found = identify(samples, nominal, prior=prior)
-    parts: tuple[Radial | None, ...] = (None,) * 6
+    parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
-        return Correction(nominal, found.hexapod, parts), found
+        return Correction(nominal, found.mechanism, parts), found
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like)
         found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), prior)
@@ -162,10 +162,10 @@ def calibrate(samples: Samples, nominal: Hexapod, remainder: str | tuple[Radial 
             if not any(parts):
                 break
             like = parts
-    return Correction(nominal, found.hexapod, parts), found
+    return Correction(nominal, found.mechanism, parts), found
 
 
-def _remainder(samples: Samples, found: Identified, nominal: Hexapod, before: tuple[Radial | None, ...],
+def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tuple[Radial | None, ...],
                like: tuple[Radial | None, ...]) -> tuple[Radial | None, ...]:
     """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or None."""
     good = found.inliers
@@ -173,4 +173,4 @@ def _remainder(samples: Samples, found: Identified, nominal: Hexapod, before: tu
     variances = np.einsum("nii->ni", found.residual_covariance)
     given = any(like)
     return tuple(radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
-                 if (like[i] is not None if given else found.scatter[i]) else None for i in range(6))
+                 if (like[i] is not None if given else found.scatter[i]) else None for i in range(len(like)))

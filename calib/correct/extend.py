@@ -15,46 +15,46 @@ from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.passes import Passes
 from calib.correct.interpolate.radial import RadialMap
-from calib.identify.geometry import PRIOR, Identified, identify
+from calib.identify.geometry import PRIOR, Identified, identify, parameters, strut_jacobian
 from calib.identify.tolerance import tolerance
 from calib.samples import Samples
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
-from rig.design import Hexapod
 from rig.errors import NotConverged
+from rig.kinds import Struts
 
 PLACES = 500  # at which a single step is held against the fixed point
 
 
-def summands(samples: Samples, model: Hexapod) -> Known:
+def summands(samples: Samples, model: Struts) -> Known:
     """KSF_PM of samples, each with its variances by the measured poses' covariance, shared errors left out. model : whose IK is meant.
 
     Source: configuration-space patent, [0130]
     """
     kinematics = mechanisms.of(model)
-    A = kinematics.jacobian(samples.T_base_platform, model)  # type: ignore[attr-defined]
+    A = strut_jacobian(samples.T_base_platform, model)
     variances = np.einsum("nij,njk,nik->ni", A, samples.covariance, A)
     return Known(samples.commanded, samples.commanded - kinematics.inverse(samples.T_base_platform, model), variances, kinematics.travel(model))
 
 
-def geometry_of(samples: Samples, nominal: Hexapod, alone: bool, prior: np.ndarray | None = None) -> Identified:
-    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (42,) m, or None: as poses have it."""
+def geometry_of(samples: Samples, nominal: Struts, alone: bool, prior: np.ndarray | None = None) -> Identified:
+    """Identified geometry that an extension stands on; alone : the owner's own, with nothing sought. prior : (p,) m, or None: as poses have it."""
     if not alone:
         if prior is None:
             prior = tolerance(identify(samples, nominal), nominal).prior
         return identify(samples, nominal, prior=prior)
     known = summands(samples, nominal)
     n, axes = known.values.shape
-    A = mechanisms.of(nominal).jacobian(samples.T_base_platform, nominal)  # type: ignore[attr-defined]
+    A, p = strut_jacobian(samples.T_base_platform, nominal), len(parameters(nominal))
     covariance = A @ samples.covariance @ np.swapaxes(A, 1, 2)
-    return Identified(nominal, np.zeros((42, 42)), np.zeros(samples.common.shape[2]), np.zeros((42, 42)), known.values, covariance, np.zeros(axes),
-                      np.ones(n, bool), np.full(42, PRIOR), 0.0)
+    return Identified(nominal, np.zeros((p, p)), np.zeros(samples.common.shape[2]), np.zeros((p, p)), known.values, covariance, np.zeros(axes),
+                      np.ones(n, bool), np.full(p, PRIOR), 0.0)
 
 
 def left(samples: Samples, found: Identified) -> Known:
     """What a geometry leaves of the summands, shared errors taken out: KSF_PM of the owner's model where none was sought."""
-    kinematics = mechanisms.of(found.hexapod)
-    return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.hexapod))
+    kinematics = mechanisms.of(found.mechanism)
+    return Known(samples.commanded, found.residuals, np.einsum("nii->ni", found.residual_covariance), kinematics.travel(found.mechanism))
 
 
 def left_by(samples: Samples, correction: Correction[Any, Any]) -> Known:
@@ -83,9 +83,9 @@ def extend(known: Known, kind: str, like: Field | None = None) -> Field:
     return RadialMap.fit(known, like) if isinstance(like, RadialMap) and kind == RadialMap.kind else kinds.fit(kind, known)
 
 
-def corrected(nominal: Hexapod, found: Identified, field: Field | None) -> Correction[Hexapod, Any]:
+def corrected(nominal: Struts, found: Identified, field: Field | None) -> Correction[Struts, Any]:
     """Correction by a geometry and a Field of what it leaves, or None."""
-    return Correction(nominal, found.hexapod, (None,) * len(nominal.axes), extension=field)
+    return Correction(nominal, found.mechanism, (None,) * len(nominal.axes), extension=field)
 
 
 def single_step_misses(correction: Correction[Any, Any]) -> tuple[float, float]:

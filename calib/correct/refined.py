@@ -9,16 +9,18 @@ from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified
 from calib.identify.with_cameras import commanded_state, solve
 from calib.pipeline import Sampled
-from rig.design import Design, Hexapod
+from rig.design import Design
 from rig.errors import RigError
+from rig.kinds import Struts, hexapod_of
 
 
-def refine(sampled: Sampled, design: Design, correction: Correction[Hexapod, Radial],
-           found: Identified) -> tuple[Correction[Hexapod, Radial], Identified]:
+def refine(sampled: Sampled, design: Design, correction: Correction[Struts, Radial],
+           found: Identified) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) with geometry and covariance from the joint solve of a recording's corners.
 
     sampled : pipeline.Sampled; design : Design as stated; correction, found : as `calibrate` gives them
-    Raises RigError for poses that no camera saw, or where struts scatter, so that a command does not give a frame's pose
+    Raises RigError for a machine that is no hexapod, for poses that no camera saw, or where struts
+    scatter, so that a command does not give a frame's pose
     """
     if sampled.measurement is None:
         raise RigError(f"a joint solve takes corners or images; these poses came from {sampled.source}")
@@ -26,5 +28,5 @@ def refine(sampled: Sampled, design: Design, correction: Correction[Hexapod, Rad
         i = int(np.argmax(found.scatter))
         raise RigError(f"a joint solve takes struts that do as commanded; strut {i + 1} scatters by {found.scatter[i] * 1e6:.1f} um beyond the poses")
     corners, commanded, state = commanded_state(sampled.measurement, sampled.samples.take(found.inliers))
-    done = solve(corners, commanded - correction.rho(commanded), state, design.cameras, correction.nominal, found.hexapod)
-    return replace(correction, fitted=done.hexapod), replace(found, hexapod=done.hexapod, covariance=done.covariance, root=done.root)
+    done = solve(corners, commanded - correction.rho(commanded), state, design.cameras, hexapod_of(correction.nominal), hexapod_of(found.mechanism))
+    return replace(correction, fitted=done.mechanism), replace(found, mechanism=done.mechanism, covariance=done.covariance, root=done.root)

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.correct.correction import Correction
+from calib.identify.geometry import strut_jacobian
 from calib.samples import Samples
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
-from rig.design import Hexapod
 from rig.errors import NotConverged, RigError
+from rig.kinds import Struts
 
 AVERAGED = 256  # configurations over which a table for one joint alone is the mean
 
@@ -24,11 +25,11 @@ def summand_columns(axes: int) -> tuple[str, ...]:
     return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
 
 
-def summand_rows(samples: Samples, nominal: Hexapod) -> Iterator[str]:
+def summand_rows(samples: Samples, nominal: Struts) -> Iterator[str]:
     """The lines of a ksf.csv, one for each sample; covariances of the measured pose, what all poses share included."""
     kinematics = mechanisms.of(nominal)
     seen = kinematics.inverse(samples.T_base_platform, nominal)
-    A = kinematics.jacobian(samples.T_base_platform, nominal)  # type: ignore[attr-defined]
+    A = strut_jacobian(samples.T_base_platform, nominal)
     covariance = A @ samples.total_covariance() @ np.swapaxes(A, 1, 2)
     upper = np.triu_indices(seen.shape[1])
     for frame, x, y, C in zip(samples.frame, samples.commanded, seen, covariance):

@@ -15,15 +15,15 @@ from calib.diagnose.problems.platform.refine import Z95, Refined, refine
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.schema import SCHEMA, UNKNOWN
 from calib.identify.geometry import Loops, parameters
-from calib.pipeline import Sampled
+from calib.pipeline import Sampled, freed
 from calib.samples import Samples
 from rig import json_file, machine_file
-from rig.design import Hexapod
 from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.coordinate import Coordinate, coordinates_of
 from rig.effects.marker_swap import MarkerSwap
 from rig.entries import Entries
-from rig.errors import FileError, RigError
+from rig.errors import FileError
+from rig.kinds import struts_of
 from rig.files.made import load as manifest
 from rig.provenance import marks, shared
 from rig.recording import Recording
@@ -48,10 +48,10 @@ class Taken:
     refined: Refined
 
     def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
-        """(Physics, (42, 42) m^2 covariance of the geometry), of a geometry certified on these samples and the physics together."""
+        """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics together."""
         found, s, base = done.found, self.samples, done.correction
         loops = Loops(s, s.effective - base.rho(s.effective), base.nominal, found.prior)
-        start, sigma = parameters(found.hexapod), np.sqrt(np.diag(self.physics.own))
+        start, sigma = parameters(found.mechanism), np.sqrt(np.diag(self.physics.own))
         middle = loops.fit(start, found.inliers, found.scatter).parameters
         response = np.zeros((len(start), len(sigma)))
         for i, column in enumerate(np.moveaxis(self._columns(), 2, 0)):
@@ -63,14 +63,14 @@ class Taken:
         return replace(self.physics, cross=cross, unknown=unknown), found.covariance + cross @ response.T
 
     def _columns(self) -> np.ndarray:
-        """(n, 6, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
+        """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""
         k, effects = self.refined.point, self.physics.effects
         out = []
         for c in coordinates_of(effects):
             high, low = c.around(effects[c.effect])
             ends = [_motion((*effects[: c.effect], c.written(effects[c.effect], end), *effects[c.effect + 1 :])) for end in (high, low)]
             out.append((k.effective(ends[0]) - k.effective(ends[1])) / (high - low))
-        return np.stack(out, axis=2) if out else np.zeros((len(self.samples), 6, 0))
+        return np.stack(out, axis=2) if out else np.zeros((*self.samples.commanded.shape, 0))
 
 
 def of_diagnosis(found: PlatformDiagnosis) -> Findings:
@@ -122,10 +122,9 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
 def take(recording: Recording, sampled: Sampled, findings: Findings, progress: Progress | None = None) -> Taken:
     """Taken of a recording's samples: the findings' parameters refined with cameras and geometry, and what they add to each command.
 
-    Raises RigError for another machine than a hexapod, and what refining raises
+    Raises RigError for a machine without struts, and what refining raises
     """
-    if not isinstance(recording.design.mechanism, Hexapod):
-        raise RigError(f"physics is taken into the calibration of a hexapod, not of a mechanism of kind {recording.design.mechanism.kind!r}")
+    nominal = struts_of(recording.design.mechanism)
     said = progress or silent
     said("refining physics and geometry together", 0, 1)
     point, _, _ = of_recording(recording, progress, sampled=sampled)
@@ -135,11 +134,11 @@ def take(recording: Recording, sampled: Sampled, findings: Findings, progress: P
     said("refining physics and geometry together", 1, 1)
     k, samples = refined.point.with_effects(_motion(effects)), sampled.samples
     if any(e.stage not in MOTION_STAGES for e in findings.effects):  # what cameras left out moved every pose
-        samples = replace(samples, T_base_platform=k.T)
+        samples = freed(recording, replace(samples, T_base_platform=k.T))
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
-    physics = Physics(effects, own, np.zeros((42, len(own))), design.gravity, design.actuator, design.platform, _channels(recording, samples.t),
-                      findings.unknown)
+    physics = Physics(effects, own, np.zeros((len(parameters(nominal)), len(own))), design.gravity, design.actuator, design.platform,
+                      _channels(recording, samples.t), findings.unknown)
     return Taken(replace(samples, known=known), physics, refined)
 
 

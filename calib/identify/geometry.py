@@ -1,46 +1,52 @@
-"""The hexapod's 42 parameters from measured poses: joint positions and strut zeros, by least squares on the poses they predict.
+"""The geometry of a machine on struts from measured poses: joint positions and strut zeros, by least squares on the poses they predict.
 
 Each strut closes a vector loop: commanded length + zero = |R a + t - b|. The measured pose less the one that the loops predict is
 weighted by the poses' covariance; the errors that all poses share (cameras and lenses) are solved for together with the
 parameters, so that the struts' known lengths steady the cameras. Source: Masory, Wang and Zhuang, On the accuracy of a Stewart
 platform, ICRA 1993 (the loop); the shared errors as nuisance parameters are the linear form of one solve of cameras, lenses and
-geometry (calib/identify/with_cameras.py).
+geometry (calib/identify/with_cameras.py). A hexapod has 42 parameters, two struts in a plane have 6.
 """
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2, norm
 
-from calib.identify import closed_loop
+from calib.identify import closed_loop, planar_loop
 from calib.identify.least_squares import Fit, Linear, fit
 from calib.samples import Samples
 from rig.errors import NotEnoughData, RigError
-from rig.design import Hexapod
-from rig.mechanisms import hexapod as mechanism
+from rig import mechanisms
+from rig.design import Hexapod, Planar2
+from rig.kinds import Struts
+from rig.mechanisms import hexapod, planar
 
 PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states it: ten times what rigs show
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then stays as it was
 LEAST = 7  # poses from which struts may scatter, and on which a geometry must stand where there are so many
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
 EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it counts as the struts'
-NAMES = (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
-         *(f"zero of strut {i + 1}" for i in range(6)))
+NAMES = {"hexapod": (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
+                     *(f"zero of strut {i + 1}" for i in range(6))),
+         "planar2": (*(f"base joint {i + 1} {axis}" for i in range(2) for axis in "xy"), "zero of strut 1", "zero of strut 2")}
+
+S = TypeVar("S", Hexapod, Planar2, Hexapod | Planar2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a fit of the 42 found.
+    """What a fit of a machine on struts found, its p parameters (42 of a hexapod) in the order of NAMES.
 
-    hexapod : Hexapod with the fitted geometry; covariance : (42, 42) m^2, order as NAMES; shared : (k,) the draw of the poses'
-    shared errors; root : (42, 42) 1/m, square root of the information in the poses alone
-    residuals : (n, 6) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n, 6, 6) m^2
-    scatter : (6,) m, scatter of each strut beyond the poses' own; inliers : (n,) bool
-    prior : (42,) m, standard deviation that the owner's figures were given; cost : whitened squares of data, shared draw and prior
+    mechanism : with the fitted geometry; covariance : (p, p) m^2; shared : (k,) the draw of the poses'
+    shared errors; root : (p, p) 1/m, square root of the information in the poses alone
+    residuals : (n, axes) m, what each strut's loop leaves once the shared errors are taken out; their covariance : (n, axes, axes) m^2
+    scatter : (axes,) m, scatter of each strut beyond the poses' own; inliers : (n,) bool
+    prior : (p,) m, standard deviation that the owner's figures were given; cost : whitened squares of data, shared draw and prior
     """
 
-    hexapod: Hexapod
+    mechanism: Struts
     covariance: np.ndarray
     shared: np.ndarray
     root: np.ndarray
@@ -52,33 +58,37 @@ class Identified:
     cost: float
 
 
-def parameters(hexapod: Hexapod) -> np.ndarray:
-    """(42,) m, joints and zeros of a Hexapod in the order of NAMES."""
-    return np.concatenate([hexapod.base_joints.ravel(), hexapod.platform_joints.ravel(), hexapod.strut_zeros])
+def parameters(mechanism: Struts) -> np.ndarray:
+    """(p,) m, joints and zeros in the order of NAMES."""
+    platform = mechanism.platform_joints.ravel() if isinstance(mechanism, Hexapod) else np.zeros(0)
+    return np.concatenate([mechanism.base_joints.ravel(), platform, mechanism.strut_zeros])
 
 
-def with_parameters(hexapod: Hexapod, p: np.ndarray) -> Hexapod:
-    """The Hexapod with parameters p (42,) m."""
-    return replace(hexapod, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
+def with_parameters(mechanism: S, p: np.ndarray) -> S:
+    """The mechanism with parameters p (p,) m."""
+    if isinstance(mechanism, Hexapod):
+        return replace(mechanism, base_joints=p[:18].reshape(6, 3), platform_joints=p[18:36].reshape(6, 3), strut_zeros=p[36:])
+    return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = None, prior: np.ndarray | None = None) -> Identified:
+def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None, prior: np.ndarray | None = None) -> Identified:
     """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow, docs/mathematics.md (7).
 
-    samples : Samples; nominal : Hexapod, where the fit starts and where its prior holds what the poses do not tell
-    offset : (n, 6) m or None, known deviations of the struts (commanded less effective), taken off the commands first
-    prior : (42,) m, standard deviation that the owner's figures are given, 5 mm each by default
+    samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
+    offset : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands first
+    prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
     lengths = samples.effective - (0 if offset is None else offset)
-    prior = np.full(42, PRIOR) if prior is None else np.asarray(prior, float)
+    p = parameters(nominal)
+    prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
-    inliers, scatter, p = np.ones(len(samples), bool), np.zeros(6), parameters(nominal)
+    inliers, scatter, spent = np.ones(len(samples), bool), np.zeros(len(nominal.axes)), len(p) // len(nominal.axes)
     for _ in range(ROUNDS):
         found = loops.fit(p, inliers, scatter)
         p = found.parameters
         left, S = loops.closure(found)
-        new_scatter, new_inliers = _scatter(left, S, inliers), _inliers(left, S, scatter)
+        new_scatter, new_inliers = _scatter(left, S, inliers, spent), _inliers(left, S, scatter)
         if new_inliers.sum() < min(LEAST, len(samples) / 2):
             raise NotEnoughData(f"only {new_inliers.sum()} of {len(samples)} poses agree with one geometry")
         if (new_inliers == inliers).all() and np.abs(new_scatter - scatter).max() < 1e-9:
@@ -90,21 +100,24 @@ def identify(samples: Samples, nominal: Hexapod, offset: np.ndarray | None = Non
 class Loops:
     """The samples of a machine as a problem of least squares, for given weights; keeps the predicted poses to start from again."""
 
-    def __init__(self, samples: Samples, lengths: np.ndarray, nominal: Hexapod, prior: np.ndarray) -> None:
-        """samples : Samples; lengths : (n, 6) m, commanded; nominal : Hexapod, the prior's middle; prior : (42,) m, its width"""
+    def __init__(self, samples: Samples, lengths: np.ndarray, nominal: Struts, prior: np.ndarray) -> None:
+        """samples : Samples; lengths : (n, axes) m, commanded; nominal : the prior's middle; prior : (p,) m, its width"""
         self.prior, self.samples, self.lengths, self.nominal = prior, samples, np.ascontiguousarray(lengths, float), nominal
-        measured, home = samples.T_base_platform.as_matrix(), nominal.home.as_matrix()
+        measured = samples.T_base_platform.as_matrix()
         self.measured = closed_loop.Measured(*(np.ascontiguousarray(part, float) for part in (measured[:, :3, :3], measured[:, :3, 3],
                                                                                               samples.covariance)))
+        home = (nominal.home if isinstance(nominal, Hexapod) else RigidTransform.identity()).as_matrix()
         self.R, self.t = np.tile(home[:3, :3], (len(samples), 1, 1)), np.tile(home[:3, 3], (len(samples), 1))
 
     def fit(self, start: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> Fit:
-        """least_squares.Fit from parameters start (42,). inliers : (n,) bool; scatter : (6,) m"""
+        """least_squares.Fit from parameters start (p,). inliers : (n,) bool; scatter : (axes,) m"""
         return fit(lambda p: self.linearise(p, scatter), start, parameters(self.nominal), self.prior, inliers=inliers)
 
     def linearise(self, p: np.ndarray, scatter: np.ndarray) -> Linear:
-        """least_squares.Linear at parameters p (42,). Raises RigError naming the first pose that has no solution there."""
+        """least_squares.Linear at parameters p (p,). Raises RigError naming the first pose that has no solution there."""
         common = self.samples.common
+        if isinstance(self.nominal, Planar2):
+            return planar_loop.linear(self.samples, self.lengths, with_parameters(self.nominal, p), scatter)
         right, J = np.empty((len(self.lengths), 6, 1 + common.shape[2])), np.zeros((len(self.lengths), 6, 42))
         right[..., 1:] = common
         bad = closed_loop.rows(self.lengths, self.R, self.t, p, self.measured, scatter**2, right, J)
@@ -114,18 +127,33 @@ class Loops:
         return Linear(right[..., 0], J, right[..., 1:])
 
     def closure(self, found: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 6) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, 6, 6) m^2 from the poses'."""
+        """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes, axes) m^2 from the poses'."""
         T, geometry = self.samples.T_base_platform, with_parameters(self.nominal, found.parameters)
-        A = mechanism.jacobian(T, geometry)
-        left = self.lengths - mechanism.inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
+        A = strut_jacobian(T, geometry)
+        left = self.lengths - mechanisms.of(geometry).inverse(T, geometry) + np.einsum("nij,njk,k->ni", A, self.samples.common, found.shared)
         return left, A @ self.samples.covariance @ np.swapaxes(A, 1, 2)
 
 
-def loop_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
-    """(..., 6, 42) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform (...)."""
+def strut_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """(..., axes, 6) m/m and m/rad, change of the struts' lengths with the poses' tangents on the right."""
+    if isinstance(mechanism, Hexapod):
+        return hexapod.jacobian(T_base_platform, mechanism)
+    return planar.jacobian(T_base_platform, mechanism)
+
+
+def to_pose(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """(..., 6, axes) change of the pose's tangent (m, rad, on the right) with the struts' lengths, at poses RigidTransform (...)."""
+    A = strut_jacobian(T_base_platform, mechanism)
+    return np.linalg.inv(A) if A.shape[-2] == 6 else np.linalg.pinv(A)
+
+
+def loop_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """(..., axes, p) change of the struts' closure, zero - length, with the parameters (m/m), at poses RigidTransform (...)."""
+    if isinstance(mechanism, Planar2):
+        return planar_loop.loop_jacobian(T_base_platform, mechanism)
     matrix = T_base_platform.as_matrix()
     R = matrix[..., :3, :3]
-    struts = hexapod.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - hexapod.base_joints
+    struts = mechanism.platform_joints @ np.swapaxes(R, -1, -2) + matrix[..., None, :3, 3] - mechanism.base_joints
     u = struts / np.linalg.norm(struts, axis=-1, keepdims=True)
     D = np.zeros((*u.shape[:-2], 6, 42))
     turned = u @ R
@@ -136,22 +164,24 @@ def loop_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarr
     return D
 
 
-def pose_jacobian(T_base_platform: RigidTransform, hexapod: Hexapod) -> np.ndarray:
-    """J_p (..., 6, 42): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
+def pose_jacobian(T_base_platform: RigidTransform, mechanism: Struts) -> np.ndarray:
+    """J_p (..., 6, p): change of the pose's tangent (m, rad, on the right) with the parameters (m) at constant command.
 
     delta_e = J_p delta_x, docs/mathematics.md (7); source: the on-line learning patent for Stewart platforms, eq. 1 [0024]
     """
-    return np.linalg.solve(mechanism.jacobian(T_base_platform, hexapod), loop_jacobian(T_base_platform, hexapod))
+    if isinstance(mechanism, Planar2):
+        return to_pose(T_base_platform, mechanism) @ loop_jacobian(T_base_platform, mechanism)
+    return np.linalg.solve(hexapod.jacobian(T_base_platform, mechanism), loop_jacobian(T_base_platform, mechanism))
 
 
-def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray) -> np.ndarray:
-    """(6,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices."""
+def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -> np.ndarray:
+    """(axes,) m: what each strut scatters beyond the poses' own covariance, 0 where that suffices. spent : poses' worth of parameters"""
     count = inliers.sum()
     if count <= LEAST:
-        return np.zeros(6)
-    own = np.einsum("nii->ni", S)[inliers].mean(axis=0) * max(1 - 7 / count, 0.1)
+        return np.zeros(left.shape[1])
+    own = np.einsum("nii->ni", S)[inliers].mean(axis=0) * max(1 - spent / count, 0.1)
     seen = (left[inliers] ** 2).mean(axis=0)
-    freedom = count - 7
+    freedom = count - spent
     return np.where(seen > own * chi2.isf(norm.sf(EXCESS), freedom) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
 
 

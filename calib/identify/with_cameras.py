@@ -25,10 +25,10 @@ from vision.predict import State, base_points, by_camera, in_camera
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """hexapod : Hexapod as fitted; cameras : as fitted; covariance : (42, 42) m^2 of the parameters, cameras' and lenses' included;
+    """mechanism : Hexapod as fitted; cameras : as fitted; covariance : (42, 42) m^2 of the parameters, cameras' and lenses' included;
     root : (42, 42) 1/m, square root of the information in the corners and the lens priors; residuals : (n, 2) whitened"""
 
-    hexapod: Hexapod
+    mechanism: Hexapod
     cameras: tuple[Camera, ...]
     covariance: np.ndarray
     root: np.ndarray

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rig.commands import checking, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
 from rig.errors import RigError
-from rig.kinds import arm_of, hexapod_of
+from rig.kinds import arm_of, hexapod_of, struts_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,7 +67,7 @@ def _calibrate(arguments: Namespace) -> None:
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
     nominal = recording.design.mechanism
-    values = None if page is None or nominal.kind != "hexapod" else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
+    values = None if page is None or nominal.kind == "arm" else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
 
     import numpy as np
 
@@ -86,12 +86,12 @@ def _calibrate(arguments: Namespace) -> None:
         calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
-        calibration = _hexapod(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
+        calibration = _struts(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
     if values is not None:
         from calib.correct.values import summand_columns, summand_rows
         from rig.writing import write_table
 
-        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, hexapod_of(nominal)))
+        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, struts_of(nominal)))
     _say_promise(arguments.promise, calibration.claim)
     _say_workspace(calibration)
     print_unsolved(sampled.measurement)
@@ -102,7 +102,7 @@ def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
     """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
     asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
     if asked and recording.design.mechanism.kind == "arm":
-        raise RigError(f"{asked} is for hexapods; an arm's joints are corrected over its configuration space")
+        raise RigError(f"{asked} is for platforms on struts; an arm's joints are corrected over its configuration space")
     if asked and arguments.joint:
         raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
     if asked and arguments.limbs:
@@ -129,13 +129,15 @@ def _values_name(out: Path) -> str:
     return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
 
 
-def _hexapod(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
+def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
              joint: bool, taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised
     from calib.report import calibration_page
 
+    if joint:
+        hexapod_of(recording.design.mechanism)
     samples = sampled.samples if taken is None else taken.samples
-    done = certify(samples, hexapod_of(recording.design.mechanism), rng, progress)
+    done = certify(samples, struts_of(recording.design.mechanism), rng, progress)
     if joint:
         from calib.correct.refined import refine
 
@@ -162,9 +164,7 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     from calib.correct.extend import single_step_misses
     from calib.report import calibration_page
 
-    samples, nominal = sampled.samples, recording.design.mechanism
-    if nominal.kind != "hexapod":
-        raise RigError(f"--extend extends a hexapod's corrections, not those of a mechanism of kind {nominal.kind!r}")
+    samples, nominal = sampled.samples, struts_of(recording.design.mechanism)
     before = _before(arguments.onto, nominal) if arguments.onto else None
     if before is None:
         done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
@@ -176,8 +176,10 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
     for one in tried:
-        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses" if one.held_out is None else (
-            f"held out {one.held_out.after.position[0] * 1e3:.4f} mm, {one.held_out.after.rotation[0] * 1e3:.4f} mrad RMS")
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
+        if one.held_out is not None:
+            turned = one.held_out.after.rotation[0]
+            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS")
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     field = done.correction.extension
     known = getattr(field, "values", None) if field is not None and field.exact else None

@@ -8,16 +8,17 @@ from rig.commands.output import add_force, file_or_stdout
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--mechanism", choices=("hexapod", "arm"), help="hexapod (the default), or an arm from the shelf, with --arm")
+    parser.add_argument("--mechanism", choices=("hexapod", "planar2", "arm"), help="hexapod (the default), two struts in a plane, or an arm from "
+                        "the shelf, with --arm")
     parser.add_argument("--arm", metavar="NAME", help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
                         "panda, stanford, scara, gantry")
-    parser.add_argument("--radius", type=float, metavar="M", help="of a hexapod's circle of base joints, m")
+    parser.add_argument("--radius", type=float, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance")
     parser.add_argument("--cameras", type=int, default=3)
     parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
     parser.add_argument("--dictionary", default="DICT_5X5_100")
     parser.add_argument("--limbs", action="store_true", help="with six measuring limbs beside the struts")
-    parser.add_argument("--name", default="hexapod")
+    parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     add_force(parser)
 
@@ -27,19 +28,21 @@ def run(arguments: Namespace) -> None:
     import re
 
     from rig.errors import RigError
-    from rig.layout import layout
+    from rig import layout, layout_planar
 
     if arguments.arm is not None or arguments.mechanism == "arm":
         _shipped(arguments)
         return
     if arguments.radius is None:
-        raise RigError("a hexapod takes --radius, an arm --arm")
+        raise RigError("a hexapod or planar2 takes --radius, an arm --arm")
     size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
     if not size:
         raise RigError(f"--size takes for example 1280x1024, not {arguments.size!r}")
-    text = layout(arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name,
-                  arguments.limbs)
-    _write(arguments, text)
+    kind = arguments.mechanism or "hexapod"
+    if arguments.limbs and kind != "hexapod":
+        raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
+    figures = (arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name or kind)
+    _write(arguments, layout.layout(*figures, arguments.limbs) if kind == "hexapod" else layout_planar.layout(*figures))
 
 
 def _shipped(arguments: Namespace) -> None:
@@ -49,8 +52,8 @@ def _shipped(arguments: Namespace) -> None:
 
     if arguments.arm is None:
         raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shelf.names())}")
-    if arguments.mechanism == "hexapod" or arguments.radius is not None:
-        raise RigError("--arm brings its own figures; --mechanism hexapod and --radius are for a hexapod")
+    if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
+        raise RigError(f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts")
     _write(arguments, shelf.design(arguments.arm))
 
 

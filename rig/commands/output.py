@@ -124,7 +124,9 @@ def print_comparison(held: HeldOut, title: str) -> None:
     for name, figures in (("owner's model", held.before), ("corrected", held.after)):
         position, rotation = (figures.mean[0], *figures.position), (figures.mean[1], *figures.rotation)
         print(f"{name:14}" + "".join(map(_cell, position)) + "   " + "".join(map(_cell, rotation)))
-    turned = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured"
+    turned = "; rotations were not measured"
+    if held.floor[1] < 1:
+        turned = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] else "; it does not turn"
     print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm{turned}")
 
 

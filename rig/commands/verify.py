@@ -65,10 +65,14 @@ def run(arguments: Namespace) -> None:
         print_comparison(held, f"{samples.frame.size} poses from {sampled.source}")
     else:
         figures, stated = driven
+        turned = ("", "", "")
+        if stated[1]:  # the machine turns at all
+            turned = (f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max", f" and {stated[1] * 1e3:.4f} mrad",
+                      f" and {figures.rotation[0] / stated[1]:.2f}")
         print(f"{figures.n} poses as measured, against the poses wanted: position {figures.position[0] * 1e3:.4f} mm RMS, "
-              f"{figures.position[2] * 1e3:.4f} max; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max")
-        print(f"stated standard uncertainty of that, calibration and measurement together: {stated[0] * 1e3:.4f} mm and {stated[1] * 1e3:.4f} mrad: "
-              f"the error is {figures.position[0] / stated[0]:.2f} and {figures.rotation[0] / stated[1]:.2f} times it")
+              f"{figures.position[2] * 1e3:.4f} max{turned[0]}")
+        print(f"stated standard uncertainty of that, calibration and measurement together: {stated[0] * 1e3:.4f} mm{turned[1]}: "
+              f"the error is {figures.position[0] / stated[0]:.2f}{turned[2]} times it")
     print_unsolved(sampled.measurement)
 
 

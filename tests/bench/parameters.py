@@ -71,23 +71,23 @@ def _batch(design):
     start = time.perf_counter()
     other = least_squares(cost, np.zeros(48))
     seconds = time.perf_counter() - start
-    apart = np.abs((nominal + other.x[:42] * 1e-3 - parameters(found.hexapod)) / np.sqrt(np.diag(found.covariance))).max()
+    apart = np.abs((nominal + other.x[:42] * 1e-3 - parameters(found.mechanism)) / np.sqrt(np.diag(found.covariance))).max()
     yield "scipy least_squares, numeric Jacobian, the same cost", f"{seconds:.2f} s, {seconds / ours:.0f} x", ">= 50 x"
     yield "the two optima apart, greatest", f"{apart:.1e} sigma", ""
-    parts, seen = combinations(found.root, found.hexapod)
+    parts, seen = combinations(found.root, found.mechanism)
     yield "condition number of the 42, worst and best determined combination", (
         f"{seen.condition:.0f}: {parts[0].sigma * 1e6:.0f} and {parts[-1].sigma * 1e6:.2f} um"), ""
 
 
 def _scatter(design):
     first = identify(sampled(design, 0, count=200)[0], design.mechanism)
-    along = np.array([part.direction for part in combinations(first.root, first.hexapod)[0]])
+    along = np.array([part.direction for part in combinations(first.root, first.mechanism)[0]])
     z = np.empty((MORE_RUNS, 42))
     for seed in range(MORE_RUNS):
         samples, true = sampled(design, seed, count=200)
         found = identify(samples, design.mechanism)
         sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along))
-        z[seed] = along @ (parameters(found.hexapod) - parameters(true)) / sigma
+        z[seed] = along @ (parameters(found.mechanism) - parameters(true)) / sigma
     some = z[:RUNS]
     yield f"z-scores along 42 combinations, {RUNS} runs of 200 poses: mean, worst", f"{np.abs(some.mean(axis=0)).max():.3f} sigma", "<= 0.15"
     yield f"z-scores, {RUNS} runs: spread over all", f"{some.std():.3f}", "0.95 .. 1.05"
@@ -109,7 +109,7 @@ def _plans(design):
 def _online(design):
     samples, true = sampled(design, 1, count=1000)
     batch = identify(samples, design.mechanism)
-    along = np.array([part.direction for part in combinations(batch.root, batch.hexapod)[0]])
+    along = np.array([part.direction for part in combinations(batch.root, batch.mechanism)[0]])
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
     alone = replace(samples, common=samples.common[:, :, :0], covariance=samples.total_covariance())
     rest = identify(alone, design.mechanism)
@@ -125,7 +125,7 @@ def _online(design):
             start = time.perf_counter()
             learner.update(x, T, C, *B)
             times.append(time.perf_counter() - start)
-        apart = np.abs(along @ (learner.p - parameters(best.hexapod)) / sigma).max()
+        apart = np.abs(along @ (learner.p - parameters(best.mechanism)) / sigma).max()
         wanted = "<= 0.1 sigma, 150 us" if name.startswith("square") else ""
         yield f"one pass over 1000 poses, {name}: from the batch; update, median", f"{apart:.4f} sigma; {np.median(times) * 1e6:.0f} us", wanted
 
@@ -200,15 +200,15 @@ def _joint():
 
     start = time.perf_counter()
     corners, commanded, state = with_cameras.commanded_state(done.measurement, samples)
-    one = with_cameras.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).hexapod)
+    one = with_cameras.solve(corners, commanded, state, read.design.cameras, nominal, identify(samples, nominal).mechanism)
     seconds = time.perf_counter() - start
     two = identify(samples, nominal)
     pooled = identify(replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0]), nominal)
     name = "open-quiet, model's pose error over 90 % of the strokes (its stated bound)"
-    yield f"{name}: joint solve", figure(one.hexapod, one.covariance), "<= 5.0 um, 10.6 urad"
-    yield f"{name}: two steps, shared errors solved", figure(two.hexapod, two.covariance), ""
-    yield f"{name}: two steps, poses as if apart", figure(pooled.hexapod, pooled.covariance), ""
-    apart = np.abs((parameters(one.hexapod) - parameters(two.hexapod)) / np.sqrt(np.diag(one.covariance))).max()
+    yield f"{name}: joint solve", figure(one.mechanism, one.covariance), "<= 5.0 um, 10.6 urad"
+    yield f"{name}: two steps, shared errors solved", figure(two.mechanism, two.covariance), ""
+    yield f"{name}: two steps, poses as if apart", figure(pooled.mechanism, pooled.covariance), ""
+    apart = np.abs((parameters(one.mechanism) - parameters(two.mechanism)) / np.sqrt(np.diag(one.covariance))).max()
     yield f"joint solve of {len(corners)} corners; from the two-step optimum", f"{seconds:.1f} s; {apart:.4f} sigma", ""
     yield from _over_draws(samples, nominal, true, lengths, wanted)
 
@@ -222,9 +222,9 @@ def _over_draws(samples, nominal, true, lengths, wanted):
         drawn = replace(samples, T_base_platform=T * exp(noise))
         apart = replace(drawn, covariance=drawn.total_covariance(), common=drawn.common[:, :, :0])
         found = [identify(each, nominal) for each in (drawn, apart)]
-        errors = [difference(wanted[:300], hexapod.forward(lengths[:300], each.hexapod)) for each in found]
+        errors = [difference(wanted[:300], hexapod.forward(lengths[:300], each.mechanism)) for each in found]
         squares.append([[(e[:, :3] ** 2).sum(axis=1).mean(), (e[:, 3:] ** 2).sum(axis=1).mean()] for e in errors])
-        off = [parameters(each.hexapod) - parameters(true) for each in found]
+        off = [parameters(each.mechanism) - parameters(true) for each in found]
         claims.append([d @ np.linalg.solve(each.covariance, d) / 42 for d, each in zip(off, found)])
     rms = np.sqrt(np.mean(squares, axis=0)) * 1e6
     for k, name in enumerate(("shared errors solved", "poses as if apart")):

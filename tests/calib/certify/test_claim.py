@@ -73,7 +73,7 @@ def test_witnesses_say_what_all_poses_say(design):
     each = witnesses(samples, label, to_pose)
     together, apart = (identify(some, design.mechanism) for some in (each, samples))
     assert len(each) == 12 and np.bincount(label).max() > 1
-    assert np.abs(parameters(together.hexapod) - parameters(apart.hexapod)).max() < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
+    assert np.abs(parameters(together.mechanism) - parameters(apart.mechanism)).max() < 0.05 * np.sqrt(np.diag(apart.covariance)).min()
     np.testing.assert_allclose(together.root.T @ together.root, apart.root.T @ apart.root, rtol=1e-2, atol=1e-3 * np.abs(apart.root).max() ** 2)
     np.testing.assert_allclose(together.covariance, apart.covariance, rtol=2e-2, atol=1e-2 * apart.covariance.max())
 

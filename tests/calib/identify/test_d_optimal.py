@@ -56,7 +56,7 @@ def test_what_is_promised_is_what_a_fit_finds(chosen, design):
     for seed in range(30):
         samples, true = sampled(design, seed, count=24, commands=chosen["determinant"].commands, own=own)
         found = identify(samples, design.mechanism)
-        errors.append(parameters(found.hexapod) - parameters(true))
+        errors.append(parameters(found.mechanism) - parameters(true))
     parts, _ = combinations(chosen["determinant"].root, design.mechanism)
     z = np.array([np.array(errors) @ part.direction / part.sigma for part in parts])
     assert np.std(z) == pytest.approx(1, abs=0.06)

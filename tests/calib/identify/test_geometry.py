@@ -52,7 +52,7 @@ def test_without_noise_the_machine_is_found(design):
     samples, true = sampled(design, 1, noisy=False)
     tight = replace(samples, covariance=samples.covariance * 1e-6, common=samples.common * 0)
     found = identify(tight, design.mechanism)
-    np.testing.assert_allclose(parameters(found.hexapod), parameters(true), atol=2e-8)
+    np.testing.assert_allclose(parameters(found.mechanism), parameters(true), atol=2e-8)
 
 
 def test_parameters_scatter_as_claimed(design):
@@ -60,7 +60,7 @@ def test_parameters_scatter_as_claimed(design):
     for seed in range(40):
         samples, true = sampled(design, seed, count=60)
         found = identify(samples, design.mechanism)
-        error = parameters(found.hexapod) - parameters(true)
+        error = parameters(found.mechanism) - parameters(true)
         z.append(error / np.sqrt(np.diag(found.covariance)))
         chi2.append(error @ np.linalg.solve(found.covariance, error))
     assert np.mean(chi2) == pytest.approx(42, rel=0.1)
@@ -73,7 +73,7 @@ def test_strut_lengths_steady_the_shared_errors(design):
     for seed in range(10):
         samples, true = sampled(design, seed, count=200)
         pooled = replace(samples, covariance=samples.total_covariance(), common=samples.common[:, :, :0])
-        errors = [np.linalg.norm(parameters(identify(s, design.mechanism).hexapod) - parameters(true)) for s in (samples, pooled)]
+        errors = [np.linalg.norm(parameters(identify(s, design.mechanism).mechanism) - parameters(true)) for s in (samples, pooled)]
         better.append(errors[0] < 1.05 * errors[1])
     assert np.mean(better) > 0.5
 
@@ -85,7 +85,7 @@ def test_a_pose_that_is_wrong_is_left_out(design):
     found = identify(replace(samples, T_base_platform=RigidTransform.from_matrix(T)), design.mechanism)
     assert np.flatnonzero(~found.inliers).tolist() == [17]
     clean = identify(samples.take(np.arange(120) != 17), design.mechanism)
-    np.testing.assert_allclose(parameters(found.hexapod), parameters(clean.hexapod), atol=1e-7)
+    np.testing.assert_allclose(parameters(found.mechanism), parameters(clean.mechanism), atol=1e-7)
 
 
 def test_scatter_of_one_strut_is_told_from_the_poses_noise(design):
@@ -102,8 +102,8 @@ def test_few_poses_move_what_they_tell_and_leave_the_rest(design, count):
     few = samples.take(np.arange(count))
     found = identify(few, design.mechanism, prior=np.full(42, 3e-4))
     assert (np.linalg.svd(found.root * PRIOR, compute_uv=False) > 1).sum() == 6 * count and not found.scatter.any()
-    stated, told = np.linalg.norm(parameters(true) - parameters(design.mechanism)), parameters(found.hexapod) - parameters(design.mechanism)
-    assert np.linalg.norm(parameters(true) - parameters(found.hexapod)) < stated and np.linalg.norm(told) < stated
+    stated, told = np.linalg.norm(parameters(true) - parameters(design.mechanism)), parameters(found.mechanism) - parameters(design.mechanism)
+    assert np.linalg.norm(parameters(true) - parameters(found.mechanism)) < stated and np.linalg.norm(told) < stated
     left = found.residuals / np.sqrt(np.einsum("nii->ni", found.residual_covariance))
     assert np.abs(left).max() < 1
 
@@ -124,5 +124,5 @@ def test_z_scores_of_five_hundred_runs(design):
         samples, true = sampled(design, seed, count=200)
         found = identify(samples, design.mechanism)
         along = np.linalg.svd(found.root)[2] if along is None else along
-        z.append(along @ (parameters(found.hexapod) - parameters(true)) / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along)))
+        z.append(along @ (parameters(found.mechanism) - parameters(true)) / np.sqrt(np.einsum("ki,ij,kj->k", along, found.covariance, along)))
     assert np.abs(np.mean(z, axis=0)).max() < 0.15 and np.std(z) == pytest.approx(1, abs=0.05)

@@ -30,7 +30,7 @@ def test_gauge_agrees_with_joints_moved(design):
 def test_combinations_are_told_apart_and_named(design):
     samples, _ = sampled(design, 1, count=100)
     found = identify(samples, design.mechanism)
-    parts, seen = combinations(found.root, found.hexapod)
+    parts, seen = combinations(found.root, found.mechanism)
     sigma = [part.sigma for part in parts]
     assert len(parts) == 42 and sigma == sorted(sigma, reverse=True) and seen.condition == pytest.approx(sigma[0] / sigma[-1])
     assert all(part.determined for part in parts) and 50 < seen.condition < 7000
@@ -42,15 +42,16 @@ def test_combinations_are_told_apart_and_named(design):
 def test_one_pose_again_and_again_hides_most(design):
     samples, _ = sampled(design, 1, count=100)
     found = identify(samples, design.mechanism)
-    J = np.tile(pose_jacobian(design.mechanism.home, found.hexapod) / 1e-5, (50, 1))
+    J = np.tile(pose_jacobian(design.mechanism.home, found.mechanism) / 1e-5, (50, 1))
     root = np.linalg.qr(J, mode="r")
-    parts, seen = combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.hexapod)
+    parts, seen = combinations(np.concatenate([root, np.zeros((42 - len(root), 42))]), found.mechanism)
     assert sum(part.determined for part in parts) == 6 and seen.condition > 1e9
 
 
 def test_names_follow_the_parameters(design):
     p = np.arange(42.0)
     m = with_parameters(design.mechanism, p)
-    assert NAMES[20] == "platform joint 1 z" and m.platform_joints[0, 2] == 20 and NAMES[41] == "zero of strut 6" and m.strut_zeros[5] == 41
+    named = NAMES["hexapod"]
+    assert named[20] == "platform joint 1 z" and m.platform_joints[0, 2] == 20 and named[41] == "zero of strut 6" and m.strut_zeros[5] == 41
     np.testing.assert_array_equal(parameters(m), p)
     assert hexapod.inverse(design.mechanism.home, design.mechanism).shape == (6,)

@@ -25,7 +25,7 @@ def test_what_is_promised_is_kept_and_not_one_pose_sooner(design, found):
     kept = []
     for seed in range(12):
         samples, true = sampled(design, seed, len(found.commands), commands=found.commands, own=np.repeat(SIGMAS, 3))
-        fitted = identify(samples, design.mechanism, prior=np.full(42, 5e-4)).hexapod
+        fitted = identify(samples, design.mechanism, prior=np.full(42, 5e-4)).mechanism
         left = rms(difference(hexapod.forward(hexapod.inverse(wanted, fitted), true), wanted))[0]
         kept.append(left)
     assert np.mean(np.array(kept) <= PROMISE) >= 11 / 12 and np.median(kept) > 0.3 * PROMISE

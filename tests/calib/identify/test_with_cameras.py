@@ -26,13 +26,13 @@ def test_two_steps_with_shared_errors_reach_the_joint_optimum(solved):
     _, read, sampled, found, _ = solved
     two = identify(sampled.samples, read.design.mechanism)
     sigma = np.sqrt(np.diag(found.covariance))
-    assert np.abs((parameters(two.hexapod) - parameters(found.hexapod)) / sigma).max() < 0.05
+    assert np.abs((parameters(two.mechanism) - parameters(found.mechanism)) / sigma).max() < 0.05
     np.testing.assert_allclose(np.sqrt(np.diag(two.covariance)), sigma, rtol=0.02)
 
 
 def test_the_truth_lies_where_the_covariance_says(solved):
     secret, _, _, found, corners = solved
-    error = parameters(found.hexapod) - parameters(secret.true.mechanism)
+    error = parameters(found.mechanism) - parameters(secret.true.mechanism)
     assert 18 < error @ np.linalg.solve(found.covariance, error) < 80  # chi-square of 42: one in 2000 lies beyond either
     assert np.mean(found.residuals**2) == pytest.approx(1, abs=0.05) and len(found.residuals) == len(corners)
     for camera, true in zip(found.cameras, secret.true.cameras):
@@ -55,7 +55,7 @@ def test_a_calibration_is_refined_or_the_reason_said(solved, design):
     _, read, sampled, found, _ = solved
     correction, two = calibrate(sampled.samples, read.design.mechanism)
     better, told = refine(sampled, read.design, correction, two)
-    np.testing.assert_allclose(parameters(better.fitted), parameters(found.hexapod), atol=1e-9)
+    np.testing.assert_allclose(parameters(better.fitted), parameters(found.mechanism), atol=1e-9)
     np.testing.assert_allclose(told.covariance, found.covariance, rtol=1e-6, atol=1e-16)
     with pytest.raises(RigError, match="came from poses.csv"):
         refine(replace(sampled, measurement=None, source="poses.csv"), read.design, correction, two)

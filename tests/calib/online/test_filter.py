@@ -38,7 +38,7 @@ def test_one_pass_ends_where_the_batch_does(design, shared, count):
         learner.update(x, T, C, B)
     along = np.linalg.svd(batch.root)[2]
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, batch.covariance, along))
-    assert np.abs(along @ (learner.p - parameters(batch.hexapod)) / sigma).max() < 0.02
+    assert np.abs(along @ (learner.p - parameters(batch.mechanism)) / sigma).max() < 0.02
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=2e-3)
 
 
@@ -47,10 +47,10 @@ def test_a_calibration_is_gone_on_from(design):
     samples, _ = sampled(design, 4, count=300, own=OWN)
     samples = replace(samples, common=samples.common[:, :, :0])
     first, both = (identify(part, design.mechanism) for part in (samples.take(np.arange(150)), samples))
-    learner = Online(first.hexapod, covariance=first.covariance)
+    learner = Online(first.mechanism, covariance=first.covariance)
     for i in range(150, 300):
         learner.update(samples.commanded[i], samples.T_base_platform[i], samples.covariance[i])
-    error = learner.p - parameters(both.hexapod)
+    error = learner.p - parameters(both.mechanism)
     assert error @ np.linalg.solve(both.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(both.covariance), rtol=5e-3)
 
@@ -124,7 +124,7 @@ def test_sessions_with_errors_of_their_own_add_up(design):
     batch = identify(Samples(np.arange(300), np.arange(300.0), np.concatenate([p.commanded for p in parts]),
                              RigidTransform.concatenate([p.T_base_platform for p in parts]),
                              np.concatenate([p.covariance for p in parts]), np.concatenate(apart)), design.mechanism)
-    error = learner.p - parameters(batch.hexapod)
+    error = learner.p - parameters(batch.mechanism)
     assert error @ np.linalg.solve(batch.covariance, error) < 0.05
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=5e-3)
 

@@ -43,7 +43,7 @@ def test_without_forgetting_or_drift_it_is_the_batch(design, way, options):
     learner = way(design.mechanism, **options)
     for x, T, C in zip(samples.commanded, samples.T_base_platform, samples.covariance):
         learner.update(x, T, C)
-    error = learner.p - parameters(batch.hexapod)
+    error = learner.p - parameters(batch.mechanism)
     assert error @ np.linalg.solve(batch.covariance, error) < 1  # of 42; nothing is linearised twice here
     np.testing.assert_allclose(np.diag(learner.covariance), np.diag(batch.covariance), rtol=1e-2)
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
 from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
-from calib.diagnose.problems.platform.geometry import PRIOR, closure_jacobian, count, geometry, pose_jacobian
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.tolerances import FINDER
+from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -147,7 +147,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         table, names, priors, camera_columns = np.zeros((0, 1)), [], [], {}
     closures = _closures(k, frames) if k.axes else _no_closures(k, frames, table)
     if k.axes:
-        p = count(k.platform)
+        p = len(parameters(k.platform))
         names += [("geometry", j) for j in range(p)]
         priors += [1 / PRIOR] * p
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
@@ -155,7 +155,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
     if k.axes and k.known is not None:
         mechanism, root = k.known
-        beforehand[-len(root) :, 0] = root @ (geometry(mechanism) - geometry(k.platform))
+        beforehand[-len(root) :, 0] = root @ (parameters(mechanism) - parameters(k.platform))
         beforehand[-len(root) :, -len(root) :] = root
     return _weighed(k, frames, table, closures, beforehand, tuple(names), camera_columns)
 
@@ -186,11 +186,11 @@ def _without_poses(k: OperatingPoint, rows: CornerRows) -> tuple[CornerFrames, n
 
 def _closures(k: OperatingPoint, frames: CornerFrames) -> _Closures:
     m = k.platform
-    A = pose_jacobian(k.T, m)
+    A = strut_jacobian(k.T, m)
     to_length = A @ frames.to_local[:, :6]  # (F, axes, L): local coordinates to struts' lengths
     covariance = to_length @ np.swapaxes(to_length, 1, 2) if k.own is None else A @ k.own @ np.swapaxes(A, 1, 2)
     inner = frames.inner
-    rows = np.concatenate([(k.closures()[..., None] + to_length @ inner[..., :1]), to_length @ inner[..., 1:], closure_jacobian(k.T, m)], axis=2)
+    rows = np.concatenate([(k.closures()[..., None] + to_length @ inner[..., :1]), to_length @ inner[..., 1:], loop_jacobian(k.T, m)], axis=2)
     return _Closures(covariance, rows, to_length)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.engine.problem import Progress
-from calib.diagnose.problems.platform.geometry import Platform
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import Sampled, sample_recording
 from calib.certify.calibration import Calibration
@@ -16,6 +15,7 @@ from rig.design import Camera, Design, Hexapod, Planar2
 from rig.effects.base import Effect, Motion
 from rig.effects.edge_bias import EdgeBias
 from rig.errors import NotEnoughData, RigError
+from rig.kinds import Struts
 from rig.pose import exp
 from rig.recording import Commands, Recording, Sensors
 from vision.measure import Measurement
@@ -99,7 +99,7 @@ class OperatingPoint:
         return self.commands
 
     @property
-    def platform(self) -> Platform:
+    def platform(self) -> Struts:
         """The mechanism as estimated. Raises RigError for one that moves no platform on struts"""
         if not isinstance(self.design.mechanism, Hexapod | Planar2):
             raise RigError(f"a {self.design.mechanism.kind} has no struts")

@@ -13,11 +13,11 @@ from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
 from calib.diagnose.problems.platform.coordinates import tangents
 from calib.diagnose.problems.platform.corners import edges_of, standing
-from calib.diagnose.problems.platform.geometry import count, moved_by
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
 from calib.diagnose.problems.platform.search import column_of
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.identify.geometry import parameters, with_parameters
 from rig.effects.base import Effect
 from rig.effects.check import check
 from rig.effects.coordinate import Coordinate, kept_sums, loose, priors_cost
@@ -253,8 +253,8 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
     for i, j in edges_of(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
     if k.axes:
-        m = k.platform
-        k = replace(k, design=replace(k.design, mechanism=moved_by(m, freedoms[len(model.nuisances.names) - count(m) :])))
+        m, p = k.platform, parameters(k.platform)
+        k = replace(k, design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])))
     if k.seen is None:
         local = np.zeros((model.frames, 6))
     return replace(moved(k, cameras, local), effects=tuple(effects), finder=tuple(finder))

@@ -64,7 +64,8 @@ def _coarse(model: LinearisedModel, products: FrameProducts, high: float) -> tup
     t = model.point.t
     modes = wave(model, np.zeros(1))[0, :, :, 6:]
     beta, power = np.einsum("fad,fa->fd", modes, products.beta), np.einsum("fad,fab,fbe->de", modes, products.gamma, modes)
-    half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.diag(power))))
+    own = np.diag(power)
+    half = np.linalg.cholesky(np.linalg.inv(power + SOFT * np.diag(np.maximum(own, SOFT * own.max()))))
     bins, step = _bins(np.ptp(t) + 1e-9, high)
     at = np.rint((t - t[0]) / step).astype(int)
     series = (np.bincount(at, weights=one, minlength=bins)[:bins] for one in (beta @ half).T)

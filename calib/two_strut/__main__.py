@@ -1,0 +1,14 @@
+"""python -m calib.two_strut FOLDER: write the worked example's figures there."""
+
+import sys
+from pathlib import Path
+
+from calib.two_strut.draw import figures
+from rig.files import write_text
+
+if len(sys.argv) != 2:
+    sys.exit("usage: python -m calib.two_strut FOLDER")
+folder = Path(sys.argv[1])
+folder.mkdir(parents=True, exist_ok=True)
+for name, text in figures().items():
+    write_text(folder / f"{name}.svg", text)

@@ -1,0 +1,43 @@
+"""Closed loops through the command line: designed, simulated, measured, calibrated, corrected, driven, verified."""
+
+import json
+
+import numpy as np
+
+from rig import cli
+
+
+def rig(*words):
+    """One command of `rig`, in this process, which must succeed."""
+    assert cli.main([str(word) for word in words]) == 0, words
+
+
+def verified(folder, capsys, poses, drive=(), calibrate=()):
+    """(what `rig verify --json` says of wanted poses, driven and measured; RMS of the drive's true error, position m and rotation rad).
+
+    folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the simulated drive
+    """
+    (folder / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "\n".join(poses) + "\n")
+    rig("calibrate", folder / "rec", "--out", folder / "calibration.json", *calibrate)
+    rig("correct", folder / "calibration.json", "--poses", folder / "wanted.csv", "--out", folder / "commands.csv")
+    rig("simulate", folder / "rig.toml", "--machine", folder / "truth.json", "--plan", f"commands:{folder / 'commands.csv'}", "--seed", "99",
+        *drive, "--out", folder / "drive", "--truth", folder / "drive.json")
+    capsys.readouterr()
+    rig("verify", folder / "calibration.json", folder / "drive", "--wanted", folder / "wanted.csv", "--json")
+    return json.loads(capsys.readouterr().out)
+
+
+def holds(verification, parts=("position", "rotation")):
+    """Assert that poses are off by no more than twice what is stated, and less than uncorrected."""
+    wanted = verification["wanted"]
+    for part in parts:
+        stated = wanted["stated_uncertainty"][part]
+        assert 0 < wanted[part]["rms"] <= 2 * stated, (part, wanted[part]["rms"], stated)
+    assert verification["after"]["position"]["rms"] < verification["before"]["position"]["rms"]
+
+
+def lines(T):
+    """Lines of a poses.csv of poses T (n,)."""
+    from rig.pose import vector
+
+    return [f"{k}," + ",".join(f"{value:.9f}" for value in np.asarray(row)) for k, row in enumerate(vector(T))]
