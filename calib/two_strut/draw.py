@@ -10,6 +10,7 @@ from calib.two_strut.example import L1, L2, NOMINAL, REAL, Worked, driven, grid,
 WIDTH, HEIGHT = 480, 400
 SCALE, LEFT, FLOOR = 560.0, 240.0, 350.0  # px/m; px of the plane's origin
 LARGER = 12.0  # times, by which the real machine's differences are drawn
+NEARER = 2.4  # times, the workspace alone
 STYLE = ("svg{font:13px system-ui,sans-serif}.base{stroke:#888;fill:none}.strut{stroke:#333;stroke-width:4;stroke-linecap:round}"
          ".real{stroke:#c2722a;stroke-width:3;stroke-dasharray:7 4}.edge{fill:#2a78c2;fill-opacity:.15;stroke:#2a78c2}"
          ".there{fill:none;stroke:#c2722a}.mesh{stroke:#2a78c2;fill:none}.dot{fill:#c22a4e}.before{stroke:#c2722a;stroke-width:1.5}"
@@ -77,38 +78,39 @@ def _sample(w: Worked, i: int, name: str) -> str:
     parts = [*_radii(), *_machine(theory, NOMINAL.base_joints, "strut"),
              *_machine(seen, _enlarged(NOMINAL.base_joints, REAL.base_joints), "real")]
     parts += [f'<circle class="dot" cx="{_at(p)[0]:.2f}" cy="{_at(p)[1]:.2f}" r="4"/>' for p in (theory, seen)]
-    parts += [_text(240, 18, f"commanded ({name}) = {w.x[i, 0] * 1e3:.0f} and {w.x[i, 1] * 1e3:.0f} mm; measured pose: IK gives {second} mm"),
-              _text(240, 392, f"differences drawn {LARGER:.0f} times larger")]
+    parts += [_text(240, 20, f"commanded ({name}) = {w.x[i, 0] * 1e3:.0f} and {w.x[i, 1] * 1e3:.0f} mm"),
+              _text(240, 38, f"IK of the measured pose: {second} mm"), _text(240, 392, f"differences drawn {LARGER:.0f} times larger")]
     return _svg(f"Fig. {2 + i}: sample pose ({name}), theoretical and measured", parts)
 
 
 def _summand(w: Worked, axis: int) -> str:
     """A surface over the configuration space, seen from aslant."""
     values = w.summand[:, axis]
-    low, high = min(values.min(), 0.0), max(values.max(), 0.0)
+    low, high = values.min() - np.ptp(values) / 2, values.max()
 
     def at(p: np.ndarray) -> tuple[float, float]:
         u, v = (p[:2] - L1) / (L2 - L1)
-        return 110 + 230 * u + 100 * v, 330 - 90 * v - 190 * (p[2] - low) / (high - low)
+        return 70 + 220 * u + 110 * v, 330 - 90 * v - 200 * (p[2] - low) / (high - low)
 
     def point(x: float, y: float, height: float | None = None) -> np.ndarray:
         x_ = np.array([x, y])
-        return np.r_[x_, driven_summand(w, x_)[axis] if height is None else height]
+        return np.r_[x_, _between(w, x_)[axis] if height is None else height]
 
     levels = np.linspace(L1, L2, 9)
-    edge = [point(*x, 0.0) for x in ((L1, L1), (L2, L1), (L2, L2), (L1, L2))]
+    edge = [point(*x, low) for x in ((L1, L1), (L2, L1), (L2, L2), (L1, L2))]
     parts = [_path(np.array(edge), "base", True, at)]
     parts += [_path(np.array([point(a, b) for b in levels]), "mesh", at=at) for a in levels]
     parts += [_path(np.array([point(a, b) for a in levels]), "mesh", at=at) for b in levels]
     for x, value, name in zip(w.x, values, ("L1, L1", "L1, L2", "L2, L1", "L2, L2")):
         here = at(np.r_[x, value])
-        parts += [_path(np.array([np.r_[x, 0.0], np.r_[x, value]]), "base", at=at), f'<circle class="dot" cx="{here[0]:.2f}" cy="{here[1]:.2f}" r="4"/>',
-                  _text(here[0], here[1] - 9, f"({name}) {value * 1e3:+.3f} mm")]
-    parts += [_text(225, 362, "strut 1, L1 to L2"), _text(430, 300, "strut 2, L1 to L2")]
+        parts += [_path(np.array([np.r_[x, low], np.r_[x, value]]), "base", at=at),
+                  f'<circle class="dot" cx="{here[0]:.2f}" cy="{here[1]:.2f}" r="4"/>',
+                  _text(here[0], here[1] - 9, f"{name}: {value * 1e3:+.3f} mm")]
+    parts += [_text(180, 362, "strut 1, L1 to L2"), _text(415, 310, "strut 2, L1 to L2")]
     return _svg(f"Fig. {6 + axis}: correction summand of strut {axis + 1} over the configuration space", parts)
 
 
-def driven_summand(w: Worked, x: np.ndarray) -> np.ndarray:
+def _between(w: Worked, x: np.ndarray) -> np.ndarray:
     """(..., 2) m, KSF_KR at configurations x (..., 2) m: at a sample what was measured there, between them by interpolation, [0088]."""
     return np.asarray(w.correction.rho(x))
 
@@ -116,9 +118,17 @@ def driven_summand(w: Worked, x: np.ndarray) -> np.ndarray:
 def _corrected(w: Worked) -> str:
     wanted = grid()
     before, after = driven(None, wanted), driven(w.correction, wanted)
-    parts = [_path(workspace(NOMINAL), "edge", True)]
+    middle = workspace(NOMINAL).mean(axis=0)
+
+    def at(p: np.ndarray) -> tuple[float, float]:
+        return 240 + NEARER * SCALE * float(p[0] - middle[0]), 185 - NEARER * SCALE * float(p[1] - middle[1])
+
+    parts = [_path(workspace(NOMINAL), "edge", True, at)]
     for kind, reached in (("before", before), ("after", after)):
-        parts += [_path(np.stack([place, _enlarged(place, there)]), kind) for place, there in zip(wanted, reached)]
+        parts += [_path(np.stack([place, _enlarged(place, there)]), kind, at=at) for place, there in zip(wanted, reached)]
+    for place, there in zip(wanted, after):
+        parts.append('<circle class="after" fill="none" cx="{:.2f}" cy="{:.2f}" r="2"/>'.format(*at(_enlarged(place, there))))
     rms = [np.sqrt(((reached - wanted) ** 2).sum(axis=1).mean()) * 1e3 for reached in (before, after)]
-    parts.append(_text(240, 388, f"from wanted to reached, {LARGER:.0f} times larger: {rms[0]:.2f} mm RMS as it was, {rms[1]:.3f} mm corrected"))
+    parts += [_text(240, 374, f"from wanted to reached, {LARGER:.0f} times larger:"),
+              _text(240, 391, f"{rms[0]:.2f} mm RMS as it was (lines), {rms[1]:.4f} mm corrected (circles)")]
     return _svg("The workspace, before and after correction by four samples", parts)

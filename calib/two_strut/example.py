@@ -18,7 +18,7 @@ from rig.mechanisms import planar
 
 L1, L2 = 0.42, 0.58  # m
 NOMINAL = Planar2(np.array([[-0.3, 0.0], [0.3, 0.0]]), np.array([[L1, L2], [L1, L2]]))
-REAL = Planar2(np.array([[-0.3035, 0.0021], [0.3018, -0.0027]]), NOMINAL.strut_range, np.array([0.0041, -0.0032]))  # nobody knows it
+REAL = Planar2(np.array([[-0.3021, 0.0014], [0.3012, -0.0018]]), NOMINAL.strut_range, np.array([0.0011, 0.0016]))  # nobody knows it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ def worked() -> Worked:
     measured = planar.forward(x, REAL)
     samples = Samples(np.arange(4), np.arange(4.0), x, measured, np.zeros((4, 6, 6)), np.zeros((4, 6, 0)))
     known = summands(samples, NOMINAL)
-    correction = Correction(NOMINAL, NOMINAL, (None, None), extension=extend(known, "linear"))
+    correction: Correction = Correction(NOMINAL, NOMINAL, (None, None), extension=extend(known, "linear"))
     return Worked(x, planar.forward(x, NOMINAL), measured, planar.inverse(measured, NOMINAL), known.values, correction)
 
 
