@@ -278,8 +278,7 @@ def _parameters(calibration: Calibration) -> str:
     sigma = np.sqrt(np.diag(calibration.covariance))
     rows, start = [], 0
     for name in GEOMETRY[nominal.kind]:
-        change = (getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)
-        for i, own in enumerate(change):
+        for i, own in enumerate((getattr(fitted, name) - getattr(nominal, name)).reshape(len(nominal.axes), -1)):
             u = sigma[start : start + len(own)]
             rows.append((f"{name.replace('_', ' ')[:-1]} {i + 1}", *(f"{c * 1e3:+.4f} ± {2 * s * 1e3:.4f}" for c, s in zip(own, u)),
                          *[""] * (3 - len(own))))
