@@ -1,0 +1,75 @@
+"""The loop of an arm that an instrument sees, through the commands: one off the shelf, simulated, calibrated, corrected, driven, verified."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from rig import recording, table
+from rig.cli import main
+from rig.pose import difference
+
+
+@pytest.fixture
+def rig(capsys):
+    """A command in this process: what it prints, or where it must fail what it complains of."""
+    def command(*arguments, ok=True):
+        capsys.readouterr()
+        status = main([str(argument) for argument in arguments])
+        out, complaint = capsys.readouterr()
+        assert status == (0 if ok else 1), complaint
+        return out if ok else complaint
+
+    return command
+
+
+def loop(folder, name, rig):
+    """(verification of the drive against the poses that the commands were to give, the same against those wanted, what `rig correct` said)."""
+    rig("design", "--mechanism", "arm", "--arm", name, "--out", folder / "rig.toml")
+    truth = folder / "truth.json"
+    rig("simulate", folder / "rig.toml", "--plan", "sobol:60", "--seed", "4", "--out", folder / "rec", "--truth", truth)
+    rig("simulate", folder / "rig.toml", "--plan", "sobol:24", "--seed", "5", "--machine", truth, "--out", folder / "seen")
+    rig("calibrate", folder / "rec", "--out", folder / "cal.json")
+    said = rig("correct", folder / "cal.json", "--poses", folder / "seen" / "poses.csv", "--out", folder / "commands.csv")
+    drive = f"commands:{folder / 'commands.csv'}"
+    rig("simulate", folder / "rig.toml", "--plan", drive, "--seed", "6", "--machine", truth, "--out", folder / "drive")
+    told = [json.loads(rig("verify", folder / "cal.json", folder / "drive", "--json", "--wanted", wanted))["wanted"]
+            for wanted in (folder / "commands.poses.csv", folder / "seen" / "poses.csv")]
+    return *told, said
+
+
+@pytest.mark.parametrize("name", [pytest.param("scara", marks=pytest.mark.slow), "gantry"])
+def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
+    taken, wanted, said = loop(tmp_path, name, rig)
+    for part in ("position", "rotation"):
+        assert taken[part]["rms"] < 2 * taken["stated_uncertainty"][part]
+    assert wanted["position"]["rms"] < 2 * wanted["stated_uncertainty"]["position"]  # a position is met whole
+    joints = {"scara": 4, "gantry": 3}[name]
+    left = re.search(rf"an arm of {joints} joints .* is (\S+) mm RMS, .* and (\S+) mrad RMS", said)
+    assert float(left[1]) == 0 and 0.05 < float(left[2]) < 0.3  # the tracker's own 0.1 mrad, of which few joints can follow little
+    poses, asked = (recording.load_poses(tmp_path / path) for path in ("commands.poses.csv", "seen/poses.csv"))
+    rest = difference(poses.T_base_platform, asked.T_base_platform)
+    assert np.sqrt((rest[:, 3:] ** 2).sum(axis=1).mean()) * 1e3 == pytest.approx(float(left[2]), abs=1e-3)
+    assert table.read(tmp_path / "commands.csv", ("frame", "q1", "q2", "q3")).columns == ("frame", *(f"q{i + 1}" for i in range(joints)))
+
+
+@pytest.mark.parametrize("options, says", [
+    (("--arm", "scarab"), "there is no arm 'scarab'; there are gantry, panda"), (("--mechanism", "arm"), "takes --arm"),
+    (("--arm", "scara", "--radius", "0.2"), "are for a hexapod"), ((), "a hexapod takes --radius, an arm --arm"),
+])
+def test_an_arm_that_cannot_be_designed_says_why(rig, options, says):
+    assert says in rig("design", *options, ok=False)
+
+
+def test_a_slides_limits_and_effects_are_in_metres(tmp_path, rig):
+    rig("design", "--arm", "scara", "--out", tmp_path / "rig.toml")
+    done = rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:8", "--effect", "backlash:joint3:gap=2e-4",
+               "--effect", "scale_error:slide3:scale=1e-3", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    assert "backlash at slide 3, scale error at slide 3" in done.replace("_", " ")
+    assert [e["place"] for e in json.loads((tmp_path / "truth.json").read_text())["effects"]] == ["slide 3", "slide 3"]
+    refused = rig("simulate", tmp_path / "rig.toml", "--effect", "backlash:joint3:gap=2e-2", "--out", tmp_path / "rec2", ok=False)
+    assert "gap must lie in 0 .. 0.001 m" in refused
+    (tmp_path / "far.csv").write_text("frame,q1,q2,q3,q4\n0,0.1,0.2,0.5,0\n")
+    refused = rig("simulate", tmp_path / "rig.toml", "--plan", f"commands:{tmp_path / 'far.csv'}", "--out", tmp_path / "rec2", ok=False)
+    assert "slide 3 is commanded out of its range" in refused
