@@ -9,7 +9,6 @@ from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, needed, parameters
 from calib.arms.observations import Observations, of_samples
 from calib.arms.place import placed
-from calib.arms.profile import Profile
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
@@ -60,14 +59,14 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     said("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return Certified(correction, found, label, None, None, None)
-    plain, full = [_held_out(samples, nominal, instrument, (parts, start), profiles, said) for profiles in (False, True)]
+    plain, full = _held_out(samples, nominal, instrument, (parts, start), (False, True), said)
     scale = _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     profiled = pays(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
-    scattered = _held_out(samples, nominal, instrument, (rows, start), profiled, said)
+    (scattered,) = _held_out(samples, nominal, instrument, (rows, start), (profiled,), said)
     if profiled:
-        correction, found = calibrate(samples, nominal, instrument, True, start)
+        correction, found = _profiled(samples, correction, found)
     covariance = samples.total_covariance()
     held = [compare(*errors, covariance, rng, label) for errors in (full if profiled else plain, scattered, plain)]
     return Certified(correction, found, label, *held)
@@ -97,19 +96,29 @@ def calibrate(samples: Samples, nominal: Arm, instrument: Instrument | None, pro
 
     start : Arm, as `start_of` has it where None. Raises what `identify` raises
     """
+    plain = _geometry(samples, nominal, instrument, start)
+    return _profiled(samples, *plain) if profiles else plain
+
+
+def _geometry(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm | None) -> tuple[ArmCorrection, Identified]:
+    """The same by the geometry alone."""
     observations = of_samples(samples)
     start = start_of(observations, nominal, instrument) if start is None else start
-    owners = owners_model(observations, nominal, instrument, start)
     found = identify(observations, start)
-    parts: tuple[Profile | None, ...] = (None,) * len(nominal.joints)
-    for _ in range(ROUNDS if profiles else 0):
+    return ArmCorrection(owners_model(observations, nominal, instrument, start), found.arm, (None,) * len(nominal.joints), observations.q), found
+
+
+def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) -> tuple[ArmCorrection, Identified]:
+    """The same with joint profiles on top of what `_geometry` found, geometry and profiles in turn."""
+    observations, parts = of_samples(samples), correction.remainder
+    for _ in range(ROUNDS):
         left = observations.residuals(found.arm) - np.einsum("mkj,j->mk", observations.common, found.shared)
         parts = profile.fit(observations, replace(found, residuals=left))
         if not any(parts):
             break
-        effective = observations.q - ArmCorrection(owners, owners, parts, observations.q).rho(observations.q)
+        effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
         found = identify(replace(observations, q=effective), found.arm)
-    return ArmCorrection(owners, found.arm, parts, observations.q), found
+    return replace(correction, fitted=found.arm, remainder=parts), found
 
 
 def start_of(observations: Observations, nominal: Arm, instrument: Instrument | None) -> Arm:
@@ -140,15 +149,19 @@ def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarr
     return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
 
 
-def _held_out(samples: Samples, nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], profiles: bool,
-              said: Progress) -> tuple[np.ndarray, np.ndarray]:
+def _held_out(samples: Samples, nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], profiles: tuple[bool, ...],
+              said: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(before, after), (n, 6) each, of parts held out in turn, by the geometry alone and with profiles, as asked for."""
     part, start = plan
-    before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+    out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in profiles]
     for k in np.unique(part):
-        correction, _ = calibrate(samples.take(part != k), nominal, instrument, profiles, start)
-        before[part == k], after[part == k] = errors_of(correction, samples.take(part == k))
-        said("holding configurations out" + (", joints corrected" if profiles else ""), int(k) + 1, part.max() + 1)
-    return before, after
+        rest, held = samples.take(part != k), samples.take(part == k)
+        plain = _geometry(rest, nominal, instrument, start)
+        for (before, after), profiled in zip(out, profiles):
+            correction, _ = _profiled(rest, *plain) if profiled else plain
+            before[part == k], after[part == k] = errors_of(correction, held)
+        said("holding configurations out" + (", joints corrected" if any(profiles) else ""), int(k) + 1, part.max() + 1)
+    return out
 
 
 def _spread(errors: np.ndarray) -> np.ndarray:

@@ -131,13 +131,16 @@ class ArmCorrection(Correction[Arm, Profile]):
         rows[np.arange(len(rows)), self.fitted.slides.astype(int)] = model.zeros(self.nominal)
         rest = replace(self.fitted, joints=rows)
         left = np.full(len(q), np.inf)
-        best = q
+        best, going = q.copy(), np.arange(len(q))
         for _ in range(ITERATIONS):
-            error = difference(mechanism.forward(q - self.rho(q - offset), rest), T)
+            error = difference(mechanism.forward(q - self.rho(q - offset), rest), T[going])
             size = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
-            best, left = np.where((size < left)[:, None], q, best), np.minimum(size, left)
-            if (left < 0.1 * TOLERANCE).all():
+            better = size < left[going]
+            best[going[better]], left[going[better]] = q[better], size[better]
+            on = left[going] >= 0.1 * TOLERANCE
+            if not on.any():
                 break
+            going, q, error, size = going[on], q[on], error[on], size[on]
             J = mechanism.jacobian(q, rest)
             damping = (size**2 + 1e-14)[:, None, None] * np.eye(6)
             step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[..., 0]

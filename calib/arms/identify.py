@@ -133,11 +133,12 @@ class _Settled(NamedTuple):
 def _settle(observations: Observations, arm: Arm, free: np.ndarray, inliers: np.ndarray, scatter: np.ndarray) -> _Settled:
     """Gauss-Newton for given weights."""
     W = np.linalg.inv(np.linalg.cholesky(observations.covariance + np.diag(scatter**2)))[inliers]
-    B = W @ observations.jacobian(arm)[inliers]
+    J = observations.jacobian(arm)
+    B = W @ J[inliers]
     rank = independent(B.reshape(-1, B.shape[-1]), free, model.names(arm), model.units(arm))
     for iteration in range(MAX_ITERATIONS):
-        r, J = observations.residuals(arm), observations.jacobian(arm)
-        fit = _solve(r, J[..., rank.free], observations.common, W, inliers)
+        J = observations.jacobian(arm) if iteration else J
+        fit = _solve(observations.residuals(arm), J[..., rank.free], observations.common, W, inliers)
         step = np.zeros(len(free))
         step[rank.free] = fit.step / max(1.0, np.abs(fit.step).max() / LONGEST_STEP)
         arm = model.moved(arm, step)

@@ -12,6 +12,7 @@ Sources: configuration-space patent [0024]-[0031] (the summand); MacKay, Bayesia
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from calib.arms.identify import Identified
 from calib.arms.observations import Observations
@@ -88,6 +89,16 @@ def _features(q: np.ndarray, axis: int, orders: np.ndarray) -> np.ndarray:
     return np.concatenate([_waves(q[:, axis], orders), np.stack([np.sin(rest), np.cos(rest)], axis=-1).reshape(len(q), -1)], axis=1)
 
 
+def _solved(M: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(M^-1 right, diagonal of M^-1), both (k,), of a positive definite M (k, k). Raises LinAlgError where it is none."""
+    half, failed = dpotrf(M)  # upper; its lower triangle is zero
+    if failed:
+        raise np.linalg.LinAlgError(f"the matrix of {len(M)} weights is not positive definite")
+    w, _ = dpotrs(half, right)
+    inverse, _ = dpotri(half)
+    return w, np.diag(inverse)
+
+
 def _evidence(A: np.ndarray, y: np.ndarray, group: np.ndarray) -> np.ndarray:
     """(features,) weights of greatest evidence: each group's size set by the fixed point of its well-determined share."""
     H, right = A.T @ A, A.T @ y
@@ -95,11 +106,9 @@ def _evidence(A: np.ndarray, y: np.ndarray, group: np.ndarray) -> np.ndarray:
     for _ in range(ROUNDS):
         alive = size[group] > 0
         prior = 1 / size[group][alive] ** 2
-        S = np.linalg.inv(H[np.ix_(alive, alive)] + np.diag(prior))
-        w = np.zeros(len(group))
-        w[alive] = S @ right[alive]
-        known = np.zeros(len(group))
-        known[alive] = 1 - prior * np.diag(S)
+        w, known = np.zeros(len(group)), np.zeros(len(group))
+        w[alive], variances = _solved(H[np.ix_(alive, alive)] + np.diag(prior), right[alive])
+        known[alive] = 1 - prior * variances
         before = size.copy()
         for g in np.flatnonzero(size):
             share = known[group == g].sum()

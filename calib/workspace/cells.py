@@ -14,7 +14,7 @@ from rig.configurations import low_discrepancy
 from rig.design import Arm
 from rig.pose import vector
 
-DRAWN = 8192  # configurations of either machine
+DRAWN, FEWER = 8192, 4096  # configurations of either machine; of an arm, whose commands are sought step by step
 ALONG = {2: 16, 3: 10}  # cells along the longest side of a workspace that is flat, and of one that is not
 K = 2.0  # standard uncertainties of a bound
 FLAT = 1e-9  # m, extent of what is flat
@@ -63,12 +63,14 @@ class Workspace:
         return bool((self.index[:, 2] == self.index[0, 2]).all())
 
 
-def workspace(correction: Correction[Any, Any], covariance: Covariance, count: int = DRAWN) -> Workspace:
-    """Workspace of a Correction. covariance : of its poses, by poses (n,) and commands (n, axes); count : configurations drawn of either machine.
+def workspace(correction: Correction[Any, Any], covariance: Covariance, count: int | None = None) -> Workspace:
+    """Workspace of a Correction. covariance : of its poses, by poses (n,) and commands (n, axes)
+    count : configurations drawn of either machine, DRAWN or FEWER by default
 
     Raises NotConverged where no configuration closes on a pose
     """
     nominal = correction.nominal
+    count = count or (FEWER if isinstance(nominal, Arm) else DRAWN)
     drawn = low_discrepancy(mechanisms.of(nominal).travel(nominal), count, 1.0)
     owner = owners(correction)
     believed, real = side(owner, correction, drawn), side(correction, owner, drawn)
