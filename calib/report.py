@@ -1,26 +1,22 @@
 """Pages that a rig's owner can read offline: figures in one self-contained HTML file, in mm and mrad."""
 
-import base64
 import html
-import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
 
 from calib.certify.calibration import Calibration
-from calib.certify.held_out import Figures
-from calib.certify.held_out import HeldOut, errors_of
+from calib.certify.held_out import Figures, HeldOut, errors_of
 from calib.certify.claim import Claim
 from calib.identify.observability import combinations
 from calib.certify.verdict import verdict
 from calib.correct.correction import Correction
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified
+from calib.picture import picture
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms
@@ -34,7 +30,6 @@ from vision.measure import Measurement
 from vision.reading.collect import Collected
 from vision.reading.identity import Suspect
 
-DPI = 110  # of figures
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#1a1a1a}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}img{max-width:100%}table{border-collapse:collapse;margin:1em 0}
 td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}td:first-child,th:first-child{text-align:left}
@@ -44,7 +39,7 @@ td,th{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}td:first-
 
 def page(path: Path | str, title: str, parts: Sequence[str | Figure]) -> None:
     """Write a self-contained HTML page. parts : strings of HTML and matplotlib Figures, in order."""
-    body = "\n".join(_picture(part) if isinstance(part, Figure) else part for part in parts)
+    body = "\n".join(picture(part) if isinstance(part, Figure) else part for part in parts)
     text = ('<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">'
             f'<meta name=color-scheme content="light dark"><title>{html.escape(title)}</title><style>{STYLE}</style>'
             f"<h1>{html.escape(title)}</h1>\n{body}\n</html>\n")
@@ -57,14 +52,6 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
         return "<tr>" + "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in row) + "</tr>"
 
     return "<table>" + cells(header, "th") + "".join(cells(row, "td") for row in rows) + "</table>"
-
-
-def _picture(figure: Figure) -> str:
-    figure.set_dpi(DPI)
-    canvas, buffer = FigureCanvasAgg(figure), io.BytesIO()
-    canvas.draw()  # laid out and drawn once; savefig would do both twice
-    imsave(buffer, canvas.buffer_rgba(), format="png", dpi=DPI)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'
 
 
 def measurement_page(path: Path | str, recording: Recording, measurement: Measurement, collected: Collected | None, places: Places | None = None,
