@@ -28,6 +28,11 @@ LARGEST = 1 << 22  # bytes of a rig.toml
 
 def load(path: str | Path) -> Design:
     """Design read from a rig.toml. Raises FileError with line and column for anything missing, malformed or implausible."""
+    return design_of(entries(path))
+
+
+def entries(path: str | Path) -> Entries:
+    """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or is no TOML."""
     path = Path(path)
     text = read_text(path, LARGEST, "no such file; every recording has a rig.toml")
     try:
@@ -41,13 +46,14 @@ def load(path: str | Path) -> Design:
         raise FileError(path, "not valid TOML: nested too deep") from None
     except ValueError as error:  # a number of thousands of digits, a date that there is not
         raise FileError(path, f"not valid TOML: {error}") from None
-    return _design(Entries(tree, (), path, places))
+    return Entries(tree, (), path, places)
 
 
-def _design(root: Entries) -> Design:
+def design_of(root: Entries) -> Design:
+    """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu", "controller", "sensors"))
+                          "insitu", "controller", "sensors", "dynamics"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
