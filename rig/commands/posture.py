@@ -1,4 +1,4 @@
-"""rig posture ARM.toml --pose x,y,z,rx,ry,rz --force y --norm 2."""
+"""rig posture ARM.toml --pose x,y,z,rx,ry,rz --force y --norm 2 [--exert fx,fy,fz] [--among REC]."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import exerting
 from rig.commands.output import SEED, add_force, file_or_stdout
 from rig.errors import RigError
+from rig.files import write_text
+from rig.kinds import arm_of
 
 if TYPE_CHECKING:
     import numpy as np
     from scipy.spatial.transform import RigidTransform
 
     from rig.design import Arm
+    from rig.posture.exertion import Exertion
     from rig.posture.measure import Wish
     from rig.posture.search import Found
 
@@ -25,14 +29,17 @@ STARTS = 24  # joint solutions of the pose from which self-motions are looked fo
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser._negative_number_matcher = re.compile(r"^-[\d.]")  # so that a value may begin with a minus: --pose -0.4,0.1,..
-    parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm, or the name of a shipped one: panda, puma560")
-    parser.add_argument("--pose", nargs="+", required=True, metavar="N", help="x,y,z,rx,ry,rz of the hand, m and rad (rotation vector)")
+    parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm, or the name of a shipped one, as panda")
+    parser.add_argument("--pose", nargs="+", metavar="N", help="x,y,z,rx,ry,rz of the hand, m and rad (rotation vector)")
+    parser.add_argument("--among", metavar="REC", type=Path, help="compare the postures that the arm took in this recording with the hand "
+                        "there, and go back to the best along the way it came; by default with the hand as at its first exposure")
     parser.add_argument("--force", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of force that count")
     parser.add_argument("--moment", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of moment that count")
     parser.add_argument("--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian")
     parser.add_argument("--whole", choices=("det", "norm"), default="det", help="with no direction chosen: det(J J^T) or the norm of J^T")
     parser.add_argument("--above", type=float, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
-    parser.add_argument("--hold", choices=("pose", "position"), default="pose", help="what of the hand stays")
+    parser.add_argument("--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays")
+    exerting.arguments(parser)
     parser.add_argument("--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose")
     parser.add_argument("--motion", choices=("end", "way"), default="end", help="take the posture when the hand has arrived, or on its way")
     parser.add_argument("--speed", type=float, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
@@ -45,53 +52,120 @@ def run(arguments: Namespace) -> None:
     """Search, and print the posture with what certifies it."""
     import numpy as np
 
-    from rig.mechanisms import arm as mechanism
-    from rig.pose import difference, pose
-    from rig.posture import measure, search
+    from rig.posture import measure
 
-    arm = _arm(arguments.arm)
-    n = len(arm.joints)
-    wish = measure.Wish(_directions(arguments), np.inf if arguments.norm == "inf" else 2, arguments.whole)
-    numbers = _numbers(arguments.pose, 6, "--pose")
-    wanted = pose(numbers[:3], numbers[3:])
+    path, arm, wanted = _wanted(arguments)
+    chosen = _directions(arguments)
+    wish: Wish | Exertion = wanted if wanted is not None and not chosen else measure.Wish(chosen, np.inf if arguments.norm == "inf" else 2,
+                                                                                         arguments.whole)
     if arguments.above is not None and not arguments.above >= 0:
         raise RigError(f"--above must be at least 0, not {arguments.above:g}")
     if not arguments.speed > 0:
         raise RigError(f"--speed must be positive rad/s, not {arguments.speed:g}")
-    arguments.outputs.inputs.append(Path(arguments.arm))
-    out = arguments.outputs.file(arguments.out) if arguments.out else None
-    now = np.array(_numbers(arguments.start, n, "--from")) if arguments.start else None
+    arguments.outputs.inputs.append(path)
+    out, draw = (arguments.outputs.file(name) if name else None for name in (arguments.out, arguments.draw))
+    if arguments.among is not None:
+        tree = _among(arguments, arm, wish, out)
+    else:
+        tree = _searched(arguments, arm, wish, out)
+    if wanted is not None:
+        tree["exert"] = exerting.tree(np.array(tree["q"]), arm, wanted)
+        if draw:
+            write_text(draw, exerting.drawn(np.array(tree["q"]), arm, wanted))
+    print(json.dumps(tree, indent=1) if arguments.json else _table(tree, arguments))
+
+
+def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
+    """(path, Arm, what it is to exert or None) of the arguments."""
+    from rig import dynamics_file
+
+    path = shipped_or_own(arguments.arm)
+    design, dynamics = dynamics_file.load(path)
+    arm = arm_of(design.mechanism)
+    return path, arm, exerting.wanted(arguments, arm, dynamics, design.gravity, path)
+
+
+def _among(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
+    """The best of the postures that were visited, as `_tree`; the way back to it is written."""
+    from rig import recording
+    from rig.pose import pose
+    from rig.posture import visited
+
+    if arguments.start or arguments.above is not None or arguments.motion == "way":
+        raise RigError("--among goes back to a posture from where the recording ends; --from, --above and --motion are for searches")
+    numbered = numbers(arguments.pose, 6, "--pose") if arguments.pose else None
+    found = visited.among(recording.load(arguments.among), arm, wish, arguments.hold, None if numbered is None else pose(numbered[:3], numbered[3:]))
+    if out:
+        _write(out, arguments, arm, found.back)
+    best, first = found.best, found.q[0]
+    tree = _tree(arm, wish, found.q[best], first, (float(found.value[best]), float(found.value[0])))
+    return tree | {"search": "among", "recording": str(arguments.among), "frame": int(found.frame[best]), "compared": len(found.q),
+                   "elsewhere": found.elsewhere, "values": {"best": float(found.value[best]), "worst": float(found.value.min())}}
+
+
+def _searched(arguments: Namespace, arm: Arm, wish: Wish | Exertion, out: Path | None) -> dict:
+    """The best posture that the searches find, as `_tree`; the motion into it is written."""
+    import numpy as np
+
+    from rig.mechanisms import arm as mechanism
+    from rig.pose import difference, pose
+    from rig.posture import motion
+
+    if not arguments.pose:
+        raise RigError("--pose says where the hand is; without it, --among names a recording")
+    n, numbered = len(arm.axes), numbers(arguments.pose, 6, "--pose")
+    wanted = pose(numbered[:3], numbered[3:])
+    now = np.array(numbers(arguments.start, n, "--from")) if arguments.start else None
     arrived = now is not None and np.abs(difference(mechanism.forward(now, arm), wanted)).max() < 1e-6
     if now is not None and not arrived and arguments.motion == "end":
         raise RigError("--from has the hand elsewhere than --pose: bring it there first, or take the posture on the way (--motion way)")
     first = now if now is not None and arrived else mechanism.inverse(wanted, arm, now)
     starts = first[None] if arrived and arguments.motion == "end" else _starts(first, wanted, arm)
-    rng = np.random.default_rng(SEED)
-    found = {"gradient": search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
-    if arguments.above is None:
-        found["sampled"] = search.sampled_search(starts, arm, wish, rng, arguments.hold)
-        if n - search.HELD[arguments.hold] == 1:
-            found["global"] = search.global_search(starts, arm, wish, arguments.hold)
-        name, k = max(((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]])
-    else:
-        name = "gradient"
-        enough = np.flatnonzero(found[name].value > arguments.above)
-        if not len(enough):
-            raise RigError(f"no posture found whose measure exceeds {arguments.above:g}; the best reaches {found[name].value.max():.6g}")
-        k = int(enough[np.abs(found[name].q[enough] - first).max(axis=1).argmin()])  # the least motion will do
+    found, name, k = _best(arguments, arm, wish, first, starts)
+    best = found[name]
     if out:
-        _write(out, arguments, arm, now if now is not None else first, starts[k], found[name].q[k])
-    tree = _tree(arm, wish, first, starts, found, name, k)
-    print(json.dumps(tree, indent=1) if arguments.json else _table(tree, arguments))
+        _write(out, arguments, arm, motion.on_the_way(now if now is not None else first, best.q[k], arm) if arguments.motion == "way" else
+               motion.at_the_end(starts[k], best.q[k], arm, arguments.hold))
+    tree = _tree(arm, wish, best.q[k], starts[k], (float(best.value[k]), float(best.start[k])))
+    tree |= {"search": name, "joint_solutions_searched": len(starts), "values": {key: float(f.value[k]) for key, f in found.items()}}
+    if "global" in found:
+        tree["certificate"] = {"gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
+                               "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max())}
+    return tree
 
 
-def _arm(text: str) -> Arm:
-    from rig import shelf
+def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarray, starts: np.ndarray) -> tuple[dict[str, Found], str, int]:
+    """(what each search found, name of the best, index of its posture) from starts (k, n) rad. Raises RigError where nothing exceeds a limit"""
+    import numpy as np
 
-    mechanism = shelf.load(text).mechanism
-    if mechanism.kind != "arm":
-        raise RigError(f"{text} has a mechanism of kind {mechanism.kind!r}; postures are for arms")
-    return mechanism
+    from rig.posture import search
+    from rig.posture.exertion import Exertion
+
+    if search.spare(arm, arguments.hold) < 1 and isinstance(wish, Exertion):
+        found = {"solutions": search.solutions(starts, arm, wish)}
+        return found, "solutions", int(found["solutions"].value.argmax())
+    found = {"gradient": search.gradient_search(starts, arm, wish, arguments.hold, arguments.above)}
+    if arguments.above is not None:
+        enough = np.flatnonzero(found["gradient"].value > arguments.above)
+        if not len(enough):
+            raise RigError(f"no posture found whose measure exceeds {arguments.above:g}; the best reaches {found['gradient'].value.max():.6g}")
+        return found, "gradient", int(enough[np.abs(found["gradient"].q[enough] - first).max(axis=1).argmin()])  # the least motion will do
+    found["sampled"] = search.sampled_search(starts, arm, wish, np.random.default_rng(SEED), arguments.hold)
+    if search.spare(arm, arguments.hold) == 1:
+        found["global"] = search.global_search(starts, arm, wish, arguments.hold)
+    name, k = max(((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]])
+    return found, name, k
+
+
+def shipped_or_own(text: str) -> Path:
+    """The path of an arm's file, named or by the name of a shipped one. Raises RigError where there is neither"""
+    from importlib.resources import files
+
+    shipped = files("rig") / "arms" / f"{text}.toml"
+    if not Path(text).exists() and not shipped.is_file() and not Path(text).suffix:
+        names = sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
+        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names)}")
+    return Path(str(shipped)) if not Path(text).exists() and shipped.is_file() else Path(text)
 
 
 def _directions(arguments: Namespace) -> tuple[str, ...]:
@@ -108,14 +182,15 @@ def _directions(arguments: Namespace) -> tuple[str, ...]:
     return tuple(name for name in DIRECTIONS if name in chosen)
 
 
-def _numbers(texts: list[str], count: int, option: str) -> list[float]:
+def numbers(texts: list[str], count: int, option: str) -> list[float]:
+    """So many numbers of an option's words, apart by commas or spaces. Raises RigError for anything else"""
     try:
-        numbers = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
+        found = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
     except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(abs(number) < 1e6 for number in numbers):
+        found = []
+    if len(found) != count or not all(abs(number) < 1e6 for number in found):
         raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
-    return numbers
+    return found
 
 
 def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
@@ -132,32 +207,34 @@ def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:
     return np.vstack([first, q[inside]])
 
 
-def _write(out: Path, arguments: Namespace, arm: Arm, now: np.ndarray, start: np.ndarray, goal: np.ndarray) -> None:
+def _write(out: Path, arguments: Namespace, arm: Arm, rows: np.ndarray) -> None:
+    """commands.csv of a motion through postures (k, n) rad."""
     from rig import writing
     from rig.posture import motion
 
-    rows = motion.on_the_way(now, goal, arm) if arguments.motion == "way" else motion.at_the_end(start, goal, arm)
     t = motion.timed(rows, arguments.speed)
     lines = [",".join([f"{moment:.6f}", *(f"{angle:.12f}" for angle in angles)]) for moment, angles in zip(t, rows)]
     writing.write_table(out, ("t", *arm.axes), lines)
 
 
-def _tree(arm: Arm, wish: Wish, first: np.ndarray, starts: np.ndarray, found: dict[str, Found], name: str, k: int) -> dict:
-    from rig.posture import measure
+def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, values: tuple[float, float]) -> dict:
+    """What is said of a posture q (n,) rad beside its search. values : the measure there and at the start"""
+    import numpy as np
 
-    best = found[name]
-    tree = {"schema": "posture/1", "unit": "rad, m", "directions": list(wish.directions) or "all", "norm": str(wish.norm),
-            "measure": "smallest column of J^T" if wish.directions else wish.whole, "search": name, "q": best.q[k].tolist(),
-            "value": float(best.value[k]), "start": {"q": starts[k].tolist(), "value": float(best.start[k])},
-            "hand_moved": {"position": float(best.moved[k, 0]), "rotation": float(best.moved[k, 1])},
-            "at_limit": [i + 1 for i in range(len(best.q[k])) if best.at_limit[k, i]],
-            "columns": dict(zip(wish.directions or measure.DIRECTIONS, measure.columns(best.q[k], arm, wish).tolist())),
-            "joint_solutions_searched": len(starts),
-            "values": {key: float(f.value[k]) for key, f in found.items()}}
-    if "global" in found:
-        tree["certificate"] = {"gradient_over_global_here": float(found["gradient"].value[k] / found["global"].value[k]),
-                               "reached_over_best_of_all_self_motions": float(best.value[k] / found["global"].value.max())}
-    return tree
+    from rig.mechanisms import arm as mechanism
+    from rig.pose import difference
+    from rig.posture import measure
+    from rig.posture.exertion import Exertion
+
+    low, high = arm.limits.T
+    moved = difference(mechanism.forward(start, arm), mechanism.forward(q, arm))
+    told = measure.Wish() if isinstance(wish, Exertion) else wish
+    return {"schema": "posture/1", "unit": "rad, m", "directions": list(told.directions) or "all", "norm": str(told.norm),
+            "measure": "greatest multiple" if isinstance(wish, Exertion) else "smallest column of J^T" if told.directions else told.whole,
+            "q": q.tolist(), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
+            "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
+            "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
+            "columns": dict(zip(told.directions or measure.DIRECTIONS, measure.columns(q, arm, told).tolist()))}
 
 
 def _table(tree: dict, arguments: Namespace) -> str:
@@ -170,14 +247,27 @@ def _table(tree: dict, arguments: Namespace) -> str:
              + " (Nm per N for forces, Nm per Nm for moments)",
              f"the hand moved by {tree['hand_moved']['position'] * 1e3:.2g} mm and {tree['hand_moved']['rotation'] * 1e3:.2g} mrad; joints at "
              f"their limits: {', '.join(map(str, tree['at_limit'])) or 'none'}",
-             f"found by the {tree['search']} search; from the same start: "
-             + ", ".join(f"{name} {value:.6f}" for name, value in tree["values"].items())]
+             _how(tree)]
     if "certificate" in tree:
         share = tree["certificate"]["gradient_over_global_here"]
         lines.append(f"certificate: the whole self-motion was traced; the gradient alone reaches {share:.4f} of its best; "
                      f"{tree['joint_solutions_searched']} joint solutions were searched")
-    elif arguments.above is None:
+    elif arguments.above is None and tree["search"] not in ("among", "solutions"):
         lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
+    lines += exerting.lines(tree["exert"]) if "exert" in tree else []
     if arguments.out:
         lines.append(f"motion written to {arguments.out}")
+    if arguments.draw:
+        lines.append(f"drawn: {arguments.draw}")
     return "\n".join(lines)
+
+
+def _how(tree: dict) -> str:
+    """How the posture was found."""
+    values = ", ".join(f"{name} {value:.6f}" for name, value in tree["values"].items())
+    if tree["search"] == "among":
+        return (f"the best of {tree['compared']} postures visited in {tree['recording']} is that of frame {tree['frame']} ({values}); in "
+                f"{tree['elsewhere']} more the hand was elsewhere")
+    if tree["search"] == "solutions":
+        return f"the best of {tree['joint_solutions_searched']} joint solutions of the pose: the arm has no joint to spare"
+    return f"found by the {tree['search']} search; from the same start: {values}"

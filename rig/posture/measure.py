@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.design import Arm
 from rig.mechanisms import arm as mechanism
+from rig.posture.exertion import Exertion
 
 DIRECTIONS = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -48,8 +49,10 @@ def scaled_jacobian(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     return mechanism.jacobian(q, arm, "base") * np.repeat([1.0, wish.length], 3)[:, None]
 
 
-def value(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
+def value(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
     """(...,) the measure at joint angles q (..., n) rad."""
+    if isinstance(wish, Exertion):
+        return wish.value(q, arm)
     return _value(scaled_jacobian(q, arm, wish), wish)
 
 
@@ -59,8 +62,10 @@ def columns(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
     return np.linalg.norm(J[..., wish.rows or list(range(6)), :], ord=wish.norm, axis=-1)
 
 
-def gradient(q: np.ndarray, arm: Arm, wish: Wish) -> np.ndarray:
+def gradient(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> np.ndarray:
     """(..., n) derivative of the measure with the joint angles, analytic (of the smallest column, where several are chosen)."""
+    if isinstance(wish, Exertion):
+        return wish.slope(q, arm)
     J = scaled_jacobian(q, arm, wish)
     H = _jacobian_derivative(q, arm) * np.repeat([1.0, wish.length], 3)[:, None, None]
     if wish.directions:

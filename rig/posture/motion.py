@@ -15,11 +15,13 @@ STEPS = 200  # of a motion on the way
 THERE = 1e-9  # rad; end of a motion
 
 
-def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm) -> np.ndarray:
-    """(k, n) rad: the self-motion from q (n,) to goal (n,), hand held still. Raises RigError where none within the limits leads there."""
+def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") -> np.ndarray:
+    """(k, n) rad: the motion from q (n,) to goal (n,), what is held of the hand still. Raises RigError where none within the limits leads there."""
     if np.abs(goal - q).max() < THERE:
         return np.array([q])
-    path = search.trace(q, arm)
+    if search.spare(arm, held) != 1:
+        return _within(q, goal, arm, held)
+    path = search.trace(q, arm, held)
     start = int(np.abs(path - q).max(axis=1).argmin())
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
@@ -28,6 +30,24 @@ def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm) -> np.ndarray:
                        "take it on the way")
     rows = path[start : stop + 1] if stop >= start else path[stop : start + 1][::-1]
     return np.vstack([rows, goal])
+
+
+def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
+    """(k, n) rad from q (n,) to goal (n,): as straight as what is held of the hand allows, brought back after every step."""
+    target, rows = mechanism.frames(q[None], arm)[:, -1], [np.array(q, float)]
+    for k in range(STEPS):
+        now = rows[-1][None]
+        pull = (search.null_space(now, arm, held)[0] @ (goal - now[0])) / (STEPS - k)
+        new = search.bring_back(now + pull, target, arm, held)
+        beyond = np.abs(mechanism.limits(new[0], arm))
+        if search.left(new, target, arm, held)[0] > 1e-9 or beyond.any() or np.abs(new - now).max() > 0.5:
+            where = f"leaves the limits of joint {int(beyond.argmax()) + 1}" if beyond.any() else "is near a singularity"
+            raise RigError(f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; take it on the way")
+        rows.append(new[0])
+    if np.abs(rows[-1] - goal).max() > 2 * search.TRACE:
+        raise RigError(f"no motion with the hand's {held} held leads to the posture: it comes no nearer than "
+                       f"{np.degrees(np.abs(rows[-1] - goal).max()):.2f} degrees; take it on the way")
+    return np.vstack([*rows, goal])
 
 
 def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:

@@ -15,9 +15,10 @@ from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
 from rig.pose import difference
 from rig.posture import measure
+from rig.posture.exertion import Exertion
 from rig.posture.measure import Wish
 
-HELD = {"pose": 6, "position": 3}  # rows of the Jacobian that must not move
+HELD = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # rows of the Jacobian that must not move
 STILL = 1e-11  # m and rad, to which the hand is brought back after a step
 ITERATIONS = 400
 LONGEST = 0.15  # rad, largest step of the gradient search
@@ -41,10 +42,17 @@ class Found:
     steps: int
 
 
-def gradient_search(q: np.ndarray, arm: Arm, wish: Wish, held: str = "pose", above: float | None = None) -> Found:
+def solutions(q: np.ndarray, arm: Arm, wish: Wish | Exertion) -> Found:
+    """Found : postures q (m, n) rad as they are, where there is nothing to search about them. Raises RigError outside the joint limits"""
+    q = np.array(q, float, ndmin=2)
+    value = measure.value(q, arm, wish)
+    return _found(q, value, value, q, arm, 0)
+
+
+def gradient_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose", above: float | None = None) -> Found:
     """Found : steepest ascent from postures q (m, n) rad, projected on the null space, the hand brought back after each step.
 
-    held : "pose", or "position" where the hand may turn; above : a limit at which it suffices to stop
+    held : "pose", "position" where the hand may turn, "orientation" where it may move; above : a limit at which it suffices to stop
     Raises RigError where a start lies outside the joint limits, or where the arm has no freedom to spare
     """
     q = _starts(q, arm, held)
@@ -74,7 +82,8 @@ def gradient_search(q: np.ndarray, arm: Arm, wish: Wish, held: str = "pose", abo
     return _found(q, now, start, first, arm, steps)
 
 
-def sampled_search(q: np.ndarray, arm: Arm, wish: Wish, rng: np.random.Generator, held: str = "pose", count: int = 200, spread: float = 0.6) -> Found:
+def sampled_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, rng: np.random.Generator, held: str = "pose", count: int = 200,
+                   spread: float = 0.6) -> Found:
     """Found : the best of `count` postures simulated about each start (m, n) rad by random steps in the null space, kept where
     joint limits and hand are. spread : rad, of one step; rng : numpy Generator"""
     q = _starts(q, arm, held)
@@ -93,14 +102,14 @@ def sampled_search(q: np.ndarray, arm: Arm, wish: Wish, rng: np.random.Generator
     return _found(best, now, start, first, arm, count)
 
 
-def global_search(q: np.ndarray, arm: Arm, wish: Wish, held: str = "pose") -> Found:
+def global_search(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str = "pose") -> Found:
     """Found : the best posture of the whole self-motion through each start (m, n) rad, traced between the joint limits or round.
 
     Steps of TRACE rad; the best one is polished by the gradient. Raises RigError where the null space is not one-dimensional
     """
     q = _starts(q, arm, held)
-    if q.shape[1] - HELD[held] != 1:
-        raise RigError(f"the self-motion has {q.shape[1] - HELD[held]} dimensions; it is traced where it has one; take the sampled search")
+    if spare(arm, held) != 1:
+        raise RigError(f"the self-motion has {spare(arm, held)} dimensions; it is traced where it has one; take the sampled search")
     start = measure.value(q, arm, wish)
     best, now, steps = q.copy(), start.copy(), 0
     for side in (1.0, -1.0):
@@ -149,7 +158,7 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     q = np.array(q, float, ndmin=2)
     if held not in HELD:
         raise ValueError(f"held must be one of {', '.join(HELD)}, not {held!r}")
-    if q.shape[1] <= HELD[held]:
+    if spare(arm, held) < 1:
         raise RigError(f"{q.shape[1]} joints hold the hand's {held} with none to spare: there is no other posture nearby")
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):
@@ -159,8 +168,13 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return q
 
 
+def spare(arm: Arm, held: str) -> int:
+    """How many joints an arm has beyond those that hold what of the hand is held; 0 or less where no other posture is nearby."""
+    return len(arm.axes) - (HELD[held].stop - HELD[held].start)
+
+
 def _rows(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
-    return mechanism.jacobian(q, arm, "base")[..., : HELD[held], :]
+    return mechanism.jacobian(q, arm, "base")[..., HELD[held], :]
 
 
 def null_space(q: np.ndarray, arm: Arm, held: str, fixed: np.ndarray | None = None) -> np.ndarray:
@@ -176,7 +190,7 @@ def _tangent(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     return np.linalg.svd(_rows(q, arm, held))[2][:, -1].copy()
 
 
-def _uphill(q: np.ndarray, arm: Arm, wish: Wish, held: str) -> np.ndarray:
+def _uphill(q: np.ndarray, arm: Arm, wish: Wish | Exertion, held: str) -> np.ndarray:
     """(m, n) projected gradient; joints at a limit that it would leave are held, and the projection is made anew."""
     slope = measure.gradient(q, arm, wish)
     low, high = arm.limits.T
@@ -198,19 +212,17 @@ def bring_back(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.nda
         e = _error(chain[:, -1], target, held)
         if np.abs(e).max(initial=0) < 0.1 * STILL:
             break
-        J = mechanism.geometric(chain, "base", arm.slides)[:, : HELD[held]]
+        J = mechanism.geometric(chain, "base", arm.slides)[:, HELD[held]]
         T = np.swapaxes(J, 1, 2)
-        q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(HELD[held]), e[..., None]))[..., 0]
+        q = q + (T @ np.linalg.solve(J @ T + DAMPING * np.eye(T.shape[2]), e[..., None]))[..., 0]
     return q
 
 
 def _error(now: np.ndarray, target: np.ndarray, held: str) -> np.ndarray:
     """(m, 3 or 6) what is missing to the target, in the axes of poses; small turns as half the difference of axes."""
     move = target[:, :3, 3] - now[:, :3, 3]
-    if held == "position":
-        return move
     turn = 0.5 * sum(np.cross(now[:, :3, k], target[:, :3, k]) for k in range(3))
-    return np.concatenate([move, turn], axis=1)
+    return np.concatenate([move, turn], axis=1)[:, HELD[held]]
 
 
 def left(q: np.ndarray, target: np.ndarray, arm: Arm, held: str) -> np.ndarray:

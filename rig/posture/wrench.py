@@ -37,6 +37,18 @@ def external(measured: np.ndarray, q: np.ndarray, speed: np.ndarray, acceleratio
     return dynamics.torques(q, speed, acceleration, arm, links, gravity) - measured
 
 
+def felt(q: np.ndarray, arm: Arm, covariance: np.ndarray) -> np.ndarray:
+    """(...,) bool: whether every wrench shows in the torques at joint values q (..., n) rad. covariance : as for `estimate`"""
+    S = np.linalg.svd(_whitened(mechanism.jacobian(q, arm, "base"), covariance)[1], compute_uv=False)
+    return S[..., -1] >= FELT * S[..., 0] if q.shape[-1] >= 6 else np.zeros(S.shape[:-1], bool)
+
+
+def _whitened(J: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(what whitens torques (..., n, n), the transpose (..., n, 6) of Jacobians so whitened)."""
+    W = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(covariance, (*J.shape[:-2], J.shape[-1], J.shape[-1]))))
+    return W, W @ np.swapaxes(J, -1, -2)
+
+
 def estimate(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: np.ndarray) -> Wrench:
     """Wrench that explains the external torques (..., n) Nm at joint angles q (..., n) rad.
 
@@ -44,9 +56,7 @@ def estimate(external_torques: np.ndarray, q: np.ndarray, arm: Arm, covariance: 
     are whitened by it, so that with equal sensors this is the plain pseudo-inverse of J^T
     Raises RigError where a posture does not feel some wrench, naming it: take another posture first
     """
-    J = mechanism.jacobian(q, arm, "base")
-    W = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(covariance, (*J.shape[:-2], J.shape[-1], J.shape[-1]))))
-    A = W @ np.swapaxes(J, -1, -2)
+    W, A = _whitened(mechanism.jacobian(q, arm, "base"), covariance)
     U, S, V = np.linalg.svd(A, full_matrices=False)
     blind = np.flatnonzero(np.ravel(S[..., -1] < FELT * S[..., 0]) if A.shape[-2] >= 6 else np.ones(S[..., 0].size))
     if len(blind):

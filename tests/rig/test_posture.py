@@ -192,4 +192,4 @@ def test_the_command_refuses_with_a_reason(words, message, capsys):
 
 def test_shipped_arms_are_named(capsys):
     assert cli.main(["posture", "pandda", "--pose", POSE]) == 1
-    assert "shipped arms: panda, puma560" in capsys.readouterr().err
+    assert "shipped arms: gantry, panda, puma560" in capsys.readouterr().err
