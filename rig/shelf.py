@@ -21,13 +21,18 @@ def names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
 
 
-def load(text: str) -> Design:
-    """Design of a rig.toml's path, or of a shipped arm's name. Raises RigError for what is neither, FileError as rig.design_file.load."""
+def path(text: str) -> Path:
+    """The rig.toml that a path or a shipped arm's name means. Raises RigError for what is neither."""
     if Path(text).exists() or Path(text).suffix:
-        return design_file.load(text)
+        return Path(text)
     if text not in names():
         raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names())}")
-    return design_file.load(str(files("rig") / "arms" / f"{text}.toml"))
+    return Path(str(files("rig") / "arms" / f"{text}.toml"))
+
+
+def load(text: str) -> Design:
+    """Design of a rig.toml's path, or of a shipped arm's name. Raises RigError for what is neither, FileError as rig.design_file.load."""
+    return design_file.load(path(text))
 
 
 def design(name: str) -> str:

@@ -77,9 +77,9 @@ def run(arguments: Namespace) -> None:
 
 def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     """(path, Arm, what it is to exert or None) of the arguments."""
-    from rig import dynamics_file
+    from rig import dynamics_file, shelf
 
-    path = shipped_or_own(arguments.arm)
+    path = shelf.path(arguments.arm)
     design, dynamics = dynamics_file.load(path)
     arm = arm_of(design.mechanism)
     return path, arm, exerting.wanted(arguments, arm, dynamics, design.gravity, path)
@@ -155,17 +155,6 @@ def _best(arguments: Namespace, arm: Arm, wish: Wish | Exertion, first: np.ndarr
         found["global"] = search.global_search(starts, arm, wish, arguments.hold)
     name, k = max(((name, int(f.value.argmax())) for name, f in found.items()), key=lambda pair: found[pair[0]].value[pair[1]])
     return found, name, k
-
-
-def shipped_or_own(text: str) -> Path:
-    """The path of an arm's file, named or by the name of a shipped one. Raises RigError where there is neither"""
-    from importlib.resources import files
-
-    shipped = files("rig") / "arms" / f"{text}.toml"
-    if not Path(text).exists() and not shipped.is_file() and not Path(text).suffix:
-        names = sorted(entry.name.removesuffix(".toml") for entry in (files("rig") / "arms").iterdir() if entry.name.endswith(".toml"))
-        raise RigError(f"there is no file {text!r}, nor is it one of the shipped arms: {', '.join(names)}")
-    return Path(str(shipped)) if not Path(text).exists() and shipped.is_file() else Path(text)
 
 
 def _directions(arguments: Namespace) -> tuple[str, ...]:

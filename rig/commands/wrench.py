@@ -39,12 +39,11 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from rig import dynamics_file
-    from rig.commands.posture import shipped_or_own
+    from rig import dynamics_file, shelf
     from rig.kinds import arm_of
     from rig.posture import observer, torque_record
 
-    path = shipped_or_own(arguments.arm)
+    path = shelf.path(arguments.arm)
     design, dynamics = dynamics_file.load(path)
     arm = arm_of(design.mechanism)
     if arguments.sigma is not None:
