@@ -5,7 +5,7 @@ struts or joints, do beyond that), `structure` (what the frame and platform do),
 camera makes of it). Every hook of the base class changes nothing; an effect overrides the ones that it needs.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -121,6 +121,11 @@ class Effect:
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         """Marker corners (..., 4, 2) px as they appear, given where their edges are."""
         return quads
+
+    @classmethod
+    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+        """(..., 4, 2, q) px that `print_` moves corners (..., 4, 2) px by, per unit of each column, where it is linear in them and says so."""
+        return None
 
     def covariate(self, motion: Motion) -> Covariate:
         """What the residuals of the axes show it against; by default what the model itself says."""

@@ -1,5 +1,6 @@
 """A lens has terms that its stated model lacks, or bends the image as no model does."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -45,8 +46,17 @@ class LensDistortion(Effect):
     def print_(self, camera: Camera, quads: np.ndarray) -> np.ndarray:
         if not self.warp or not self.at(f"camera {camera.name}"):
             return quads
-        degree = round((np.sqrt(25 + 4 * len(self.warp)) - 3) / 2)
-        return quads + products(camera, quads, degree) @ np.reshape(self.warp, (2, -1)).T
+        return quads + products(camera, quads, _degree(len(self.warp))) @ np.reshape(self.warp, (2, -1)).T
+
+    @classmethod
+    def bending(cls, camera: Camera, quads: np.ndarray, columns: Sequence[Linear]) -> np.ndarray | None:
+        if any(column.name != "warp" for column in columns):
+            return None
+        basis = products(camera, quads, _degree(len(columns)))
+        out = np.zeros((*quads.shape, len(columns)))
+        out[..., 0, : basis.shape[-1]] = basis
+        out[..., 1, basis.shape[-1] :] = basis
+        return out
 
     def fitted(self, parameter: Parameter) -> tuple[int, ...]:
         if parameter.name == "terms" and self.warp:
@@ -77,6 +87,11 @@ def products(camera: Camera, uv: np.ndarray, degree: int) -> np.ndarray:
     x = np.clip((np.asarray(uv) - [camera.width / 2, camera.height / 2]) / (camera.width / 2), -1, 1)
     T = [np.polynomial.chebyshev.chebvander(x[..., c], degree) for c in range(2)]
     return np.stack([T[0][..., i] * T[1][..., j] for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 1], axis=-1)
+
+
+def _degree(numbers: int) -> int:
+    """The degree of a warp of so many numbers, see `count`."""
+    return round((np.sqrt(25 + 4 * numbers) - 3) / 2)
 
 
 def count(degree: int) -> int:

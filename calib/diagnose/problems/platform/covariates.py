@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from calib.diagnose.engine.parallel import parallel_map
 from calib.diagnose.engine.ranking import Covariate, Share, ranked, share
 from calib.diagnose.problems.histories import courses, each_apart, moves
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
@@ -13,7 +14,7 @@ STRUTS, IMAGES = "struts", "images"
 
 def covariates(before: LinearisedModel, after: LinearisedModel) -> list[Covariate]:
     """[Covariate] of what is left with nothing admitted and with all, the one that explained most before first."""
-    return ranked(_shares(before), _shares(after))
+    return ranked(*parallel_map(_shares, [before, after], few=1))
 
 
 def _shares(model: LinearisedModel) -> dict[str, dict[str, Share]]:

@@ -12,7 +12,7 @@ from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.search import axis_products, corner_products, lasting
-from calib.diagnose.problems.platform.smooth import FAST, SLOW, in_time, marker_pixels, strut_weights, view_pixels, warp_pixels
+from calib.diagnose.problems.platform.smooth import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
 from rig.effects.lens_distortion import LensDistortion
 
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
@@ -32,8 +32,8 @@ def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
     if k.seen is not None:
         asked += [partial(_camera, model, i) for i in range(len(k.design.cameras))]
         ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
-        shared = marker_pixels(k, ids)
-        asked += [partial(_marker, model, shared, ids, counts, j) for j in range(len(ids))]
+        edges = edge_pixels(k)
+        asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
     return convincing([u for found in parallel_map(_asked, asked) for u in found])
 
 
@@ -76,25 +76,27 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
         out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, cosines), information)) for cosines in (SLOW, FAST)]
         out.append(_following(products, np.argsort(k.t), place, information))
     if not any(type(e) is LensDistortion and e.place == place for e in k.effects):  # else what its image still bends by belongs to that lens
-        out.append(_still(model, warp_pixels(k, i), place, "image position", information))
+        seen = np.flatnonzero(k.observed.observations.camera == i)
+        out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))
     return out
 
 
-def _marker(model: LinearisedModel, pixels: np.ndarray, ids: np.ndarray, counts: np.ndarray, j: int) -> list[LackOfFit | None]:
-    """Of marker ids[j], seen counts[j] times. pixels : `marker_pixels` of them all"""
-    own = pixels.shape[2] // len(ids)
-    information = 4 * counts[j] / model.corner_noise() ** 2
-    return [_still(model, pixels[:, :, j * own : (j + 1) * own], f"marker {ids[j]}", "place on the marker", information)]
+def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
+    """Of a marker seen so many times. edges : see `edge_pixels`"""
+    hit, moved = one_marker(model.point, edges, number)
+    return [_still(model, hit, moved, f"marker {number}", "place on the marker", 4 * count / model.corner_noise() ** 2)]
 
 
-def _still(model: LinearisedModel, pixels: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
-    """LackOfFit of corner displacements (n, 2, q) px that are the same in every frame; where they are likely by chance, as without dispersion."""
-    hit = np.flatnonzero(pixels.any(axis=(1, 2)))
-    solved = solve(lasting(model, hit, pixels[hit]))
+def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: str, depends: str, information: float) -> LackOfFit | None:
+    """LackOfFit of displacements (h, 2, q) px of observed corners (h,) that are the same in every frame; where they are likely by chance, as without
+    dispersion."""
+    solved = solve(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
     chance = float(chi2.sf(delta, max(rank, 1)))
     if rank and chance > ALPHA:
         return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
+    pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
+    pixels[hit] = moved
     products = corner_products(model, pixels)
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
     return tested(model.linear, products, Test(place, "px", (depends,), weights, information))

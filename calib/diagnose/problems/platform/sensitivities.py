@@ -1,5 +1,6 @@
 """What effects do to axes and corners, at one operating point: the columns of the linear model."""
 
+import inspect
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,8 +49,20 @@ class Sensitivities:
 
     def seen(self, candidate: PlatformCandidate, node: Node) -> tuple[np.ndarray, np.ndarray]:
         """(sighting rows (s,), (s, 4, 2, q) px per unit of each linear parameter) of what is seen at a node; rows that cannot change are left out."""
+        direct = self._bending(candidate)
+        if direct is not None:
+            return direct
         parts = [self.derivative(candidate.kind, candidate.place, column, node) for column in candidate.spec.linear]
         return parts[0][0], np.stack([quads for _, quads in parts], axis=-1)
+
+    def _bending(self, candidate: PlatformCandidate) -> tuple[np.ndarray, np.ndarray] | None:
+        """The same of what bends one camera's image and says how, None for anything else."""
+        kind, name = candidate.place.partition(" ")[::2]
+        if kind != "camera" or inspect.getattr_static(candidate.kind, "bending") is inspect.getattr_static(Effect, "bending"):
+            return None
+        rows = self._rows(candidate.place)
+        found = candidate.kind.bending(self.point.design.camera(name), self._quads(rows)[0], candidate.spec.linear)
+        return None if found is None else (rows, found)
 
     def derivative(self, kind: type[Effect], place: str, column: Linear, node: Node) -> tuple[np.ndarray, np.ndarray]:
         """(sighting rows (s,), (s, 4, 2) px per unit) of one linear parameter of a view effect, about nothing.

@@ -81,17 +81,30 @@ def warp_pixels(k: OperatingPoint, i: int) -> np.ndarray:
 
 def marker_pixels(k: OperatingPoint, ids: np.ndarray) -> np.ndarray:
     """(n, 2, 8 len(ids)) px of corners: each corner of each marker moved along its two edges, per side."""
+    edges = edge_pixels(k)
+    out = np.zeros((len(edges), 2, 8 * len(ids)))
+    for j, number in enumerate(ids):
+        rows, moved = one_marker(k, edges, number)
+        out[rows, :, 8 * j : 8 * j + 8] = moved
+    return out
+
+
+def edge_pixels(k: OperatingPoint) -> np.ndarray:
+    """(n, 2, 2) px of corners moved along the two edges of their marker, per side."""
     seen, quads = k.observed, k.pixels(rows=np.arange(len(k.observed.sightings.frame)))
     depth = _depths(quads)
     edges = np.stack([(np.roll(depth, s, axis=1) / depth)[..., None] * (np.roll(quads, s, axis=1) - quads) for s in (-1, 1)], axis=-1)  # (s, 4, 2, 2)
-    corner, marker = seen.observations.corner, seen.markers.id[seen.sightings.marker][seen.row]
-    out = np.zeros((len(corner), 2, 8 * len(ids)))
-    for j, number in enumerate(ids):
-        rows = np.flatnonzero(marker == number)
-        for c in range(4):
-            at = rows[corner[rows] == c]
-            out[at, :, 8 * j + 2 * c : 8 * j + 2 * c + 2] = edges[seen.row[at], c]
-    return out
+    return edges[seen.row, seen.observations.corner]
+
+
+def one_marker(k: OperatingPoint, edges: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """(observed corners (h,), (h, 2, 8) px of them) of one marker: each of its corners moved along its edges, as `edge_pixels` has them."""
+    seen = k.observed
+    rows = np.flatnonzero((seen.markers.id == number)[seen.sightings.marker][seen.row])
+    corner, out = seen.observations.corner[rows], np.zeros((len(rows), 2, 8))
+    for c in range(4):
+        out[corner == c, :, 2 * c : 2 * c + 2] = edges[rows[corner == c]]
+    return rows, out
 
 
 def _distortions() -> np.ndarray:
