@@ -148,6 +148,7 @@ class LinearModel:
         for block, part in zip(self.blocks, self.columns.whole):
             moved = (part @ np.column_stack([back, size]))[block.frames_rows]
             pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
+            pushed = np.concatenate([pushed, np.zeros((1, len(onto)))])  # where the last frames have no rows
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
         return out
 
