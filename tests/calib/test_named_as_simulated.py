@@ -16,7 +16,7 @@ EFFECTS = {  # one of each, of a size that rigs show
     "warm_up": "strut3:amplitude=1e-4,time_constant=900",
     "screw_coupling": "rig:gain=0.5", "compliance": "rig:stiffness=3e6", "joint_clearance": "strut3:gap=8e-5",
     "base_expansion": "rig:coefficient=9e-5", "vibration": "rig:amplitude=4e-5,frequency=3.3,phase=1,mode=0.6/0/0.8/0.5/0/0",
-    "time_offset": "clock:offset=0.02", "clock_drift": "clock:rate=5e-5", "lens_distortion": "cam1:terms=0/0/0/0/0/0/0/0/2e-3/0/2e-3/0",
+    "time_offset": "clock:offset=0.02", "clock_drift": "clock:rate=5e-5", "lens_distortion": "cam1:terms=0/0/0/0/0/0/0/0/2e-2/0/2e-2/0",
     "focal_drift": "cameras:per_kelvin=3e-4", "camera_drift": "cam1:motion=2e-4/0/0/0/4e-4/0,time_constant=900",
     "camera_bump": "cam1:motion=2e-4/0/0/0/4e-4/0,time=700", "rolling_shutter": "cameras:row_time=2e-5",
     "refraction": "cam1:thickness=2e-2,normal=0.5/0/0.866", "edge_bias": "cameras:bias=0.2", "print_scale": "markers:scale=3e-3",
