@@ -2,11 +2,27 @@
 
 import sys
 
-from tests.bench import absent, arms, certificate, correction, corners, diagnosis, driving, forward, growing, lens, parameters, physics, reach, way
+from tests.bench import (
+    absent,
+    arms,
+    certificate,
+    correction,
+    corners,
+    diagnosis,
+    driving,
+    forward,
+    growing,
+    lens,
+    method,
+    parameters,
+    physics,
+    reach,
+    way,
+)
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics}  # minutes: only where they are named
+NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method}  # minutes: only where they are named
 
 
 def main():

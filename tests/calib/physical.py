@@ -25,7 +25,7 @@ LOAD_EVERY = 600.0  # s
 
 @dataclass(frozen=True)
 class Driven:
-    """error : (m, rad) RMS of 100 wanted poses driven in time; stated : m, RMS of its standard uncertainty; found : the Effects undone."""
+    """error : (m, rad) RMS of wanted poses driven in time; stated : m, RMS of its standard uncertainty; found : the Effects undone."""
 
     error: tuple
     stated: float
@@ -51,12 +51,12 @@ def learnt(rec, sampled, findings, remainder="find"):
     return Calibration(correction, covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, physics)
 
 
-def driven(calibration, secret, seed, sensed=True, approach="auto"):
+def driven(calibration, secret, seed, sensed=True, approach="auto", poses=POSES):
     """Driven of a calibration through poses, times, weather and loads of another seed. sensed : whether the drive's sensors are logged"""
     rng = np.random.default_rng([seed, 1])
     m = secret.stated.mechanism
-    T = mechanisms.of(m).forward(plan.low_discrepancy(m.strut_range, POSES, 0.75, seed=int(rng.integers(1 << 30))), m)
-    t = 30 + np.cumsum(rng.uniform(8, 40, POSES))
+    T = mechanisms.of(m).forward(plan.low_discrepancy(m.strut_range, poses, 0.75, seed=int(rng.integers(1 << 30))), m)
+    t = 30 + np.cumsum(rng.uniform(8, 40, poses))
     true, log = world.temperatures(t[-1], rng)
     payload = np.where(true.t % (2 * LOAD_EVERY) < LOAD_EVERY, 0.0, 0.6 * (secret.stated.platform.mass or 0.0))
     true, log = (replace(s, channels={**s.channels, "payload_mass_kg": payload}) for s in (true, log))
