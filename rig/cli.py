@@ -27,6 +27,7 @@ COMMANDS = {
     "diagnose": "A recording -> what physics its model leaves out: where, which, how large, and the proof.",
     "blind": "Blinded cases of the diagnosis on rigs that are not there, and their score.",
     "correct": "Wanted poses -> the strut lengths to command for them.",
+    "kinematics": "An arm's poses of joint values, or all joint values of poses, step by step in one global frame.",
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with covariance.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",

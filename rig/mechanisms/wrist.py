@@ -69,19 +69,26 @@ def six(arm: Arm) -> SixR:
         raise RigError(f"the closed form is for joints that turn, and joint {np.flatnonzero(arm.slides)[0] + 1} slides")
     chain = mechanism.frames(np.zeros(6), arm)
     o, u = chain[:6, :3, 3], chain[:6, :3, 2]
-    turned = np.linalg.norm(np.cross(u[0], u[1]))
-    if turned < EXACT:
+    if np.linalg.norm(np.cross(u[0], u[1])) < EXACT:
         raise RigError("axes 1 and 2 are parallel: the closed form needs a turning base")
-    origin = _nearest(o[0], u[0], o[1], u[1])
-    y = u[1] - (u[1] @ u[0]) * u[0]
-    y /= np.linalg.norm(y)
-    R = np.column_stack([np.cross(y, u[0]), y, u[0]])
-    frame = RigidTransform.from_components(origin, Rotation.from_matrix(R))
+    frame = global_frame(arm)
+    origin, R = frame.translation, frame.rotation.as_matrix()
     o, u, a = (o - origin) @ R, u @ R, (chain[-1, :3, 3] - origin) @ R
     kind, key = _kind(o, u)
     if np.linalg.norm(np.cross(u[4], u[5])) < EXACT:
         raise RigError("axes 5 and 6 are parallel: there is no wrist to turn")
     return SixR(arm, kind, o, u, key, np.array([a, a + [0, 0, 1], a + [0, 1, 0]]), frame)
+
+
+def global_frame(arm: Arm) -> RigidTransform:
+    """T_base_global of an Arm: where axes 1 and 2 cross or come nearest, z along 1, y along 2; its frame 0 where these are parallel."""
+    chain = mechanism.frames(np.zeros(len(arm.joints)), arm)
+    o, u = chain[:2, :3, 3], chain[:2, :3, 2]
+    y = u[1] - (u[1] @ u[0]) * u[0]
+    if len(arm.joints) < 2 or np.linalg.norm(y) < EXACT:
+        return RigidTransform.from_matrix(chain[0])
+    y = y / np.linalg.norm(y)
+    return RigidTransform.from_components(_nearest(o[0], u[0], o[1], u[1]), Rotation.from_matrix(np.column_stack([np.cross(y, u[0]), y, u[0]])))
 
 
 def _kind(o: np.ndarray, u: np.ndarray) -> tuple[str, np.ndarray]:
