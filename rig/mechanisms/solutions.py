@@ -24,8 +24,8 @@ class Solutions(NamedTuple):
 
 def solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -> Solutions:
     """Solutions of one pose () of an Arm, those within the limits first; of a redundant arm some of the many that there are."""
-    n = len(arm.joints)
-    begin = np.random.default_rng(0).uniform(*arm.limits.T, (starts, n))
+    n, (low, high) = len(arm.joints), arm.limits.T
+    begin = np.random.default_rng(0).uniform(low, high, (starts, n))
     many = RigidTransform.from_matrix(np.tile(T_base_platform.as_matrix(), (starts, 1, 1)))
     if n < deficient.WHOLE:
         count = deficient.directions(arm)
