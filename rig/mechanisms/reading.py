@@ -124,7 +124,7 @@ class _Way:
         """rad, joint 5, from how far the hand's axis 6 leans to an axis (3,) that the joints between do not move."""
         u, v = self.six.axes[4], self.six.axes[5]
         tilt = (axis @ u) * (v @ u)
-        return self.two(4, axis @ v - tilt, axis @ np.cross(u, v), axis @ self.carried(v) - tilt)
+        return self.two(4, float(axis @ v - tilt), float(axis @ np.cross(u, v)), float(axis @ self.carried(v) - tilt))
 
     def elbow(self, point: np.ndarray) -> None:
         """Find E on axis 3, as far from axis 2 and from a point (3,) m as the links say; of two the one near the solution."""
