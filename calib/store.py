@@ -24,6 +24,7 @@ from calib.certify.claim import Claim
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
 from calib.correct.physics_file import physics_in, physics_out
+from calib.correct.posed_file import map_in, map_out
 from calib.identify.geometry import parameters
 from calib.correct.interpolate.radial import Radial
 from calib.workspace.file import workspace_in, workspace_out
@@ -31,12 +32,13 @@ from rig import json_file
 from rig.design import Arm, Hexapod, Planar2
 from rig.entries import LARGEST_RIG, Entries
 from rig.provenance import flat, marks, shared
-from rig.kinds import Struts
+from rig.kinds import Struts, struts_of
 from rig.recording import Recording
 from rig.files import write_text
 from rig.pose import vector
 
 SCHEMA = "calibration/1"
+WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
 WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
 MOST_JOINTS = 64
 UNITS = "m, rad, s; covariances in their products"
@@ -76,11 +78,12 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
-def after(own: dict[str, Any], before: Calibration) -> dict[str, Any]:
-    """The provenance of a pass: its own, the passes before it in their order, and the marks of the data of all."""
-    first = {name: before.provenance[name] for name in ("recording", "inputs_sha256", "arguments", "created") if name in before.provenance}
+def after(own: dict[str, Any], before: Calibration, asked: dict[str, Any]) -> dict[str, Any]:
+    """The provenance of a pass: its own and what it is, the passes before it in their order, and the marks of the data of all."""
+    kept = ("recording", "inputs_sha256", "arguments", "created", "pass")
+    first = {name: before.provenance[name] for name in kept if name in before.provenance}
     passes = [*before.provenance.get("passes", []), first]
-    return {**own, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
+    return {**own, "pass": asked, "data": [*before.provenance.get("data", []), *own["data"]], "passes": passes}
 
 
 def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
@@ -100,12 +103,14 @@ def save(path: Path | str, calibration: Calibration) -> None:
     correction = calibration.correction
     arm = isinstance(correction, ArmCorrection)
     tree = {
-        "schema": SCHEMA if calibration.physics is None else WITH_PHYSICS, "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
+        "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
+        "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
         "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS[correction.nominal.kind],
         "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
+        **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
@@ -118,7 +123,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
 def load(path: Path | str) -> Calibration:
     """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
     of another shape or a number that cannot be."""
-    tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS)
+    tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
         tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
@@ -139,7 +144,8 @@ def _correction_in(tree: Entries, nominal: Struts | Arm, fitted: Struts | Arm) -
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
     extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
-    return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension)
+    posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps")) if tree.tree["schema"] == WITH_POSE_MAPS else ()
+    return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 
 
 def mechanism_out(mechanism: Struts | Arm) -> dict[str, Any]:

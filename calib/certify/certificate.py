@@ -47,7 +47,8 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     own = np.broadcast_to(calibration.scatter**2, (len(J), len(fitted.axes)))
     if calibration.correction.extension is not None:
         own = own + calibration.correction.extension.error(calibration.correction.inverse(T_base_platform)) ** 2
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (back * own[:, None]) @ np.swapaxes(back, 1, 2)
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (back * own[:, None]) @ np.swapaxes(back, 1, 2)
+    return covariance + calibration.correction.posed_error(T_base_platform)[..., None] ** 2 * np.eye(6)
 
 
 def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,

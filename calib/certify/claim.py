@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.configurations import LEAST
-from calib.correct.correction import Correction
+from calib.correct.correction import Correction, closing
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian, to_pose
 from calib.samples import Samples
 from calib.identify.tolerance import Tolerance, spread
-from calib.workspace.region import closing
 from rig import mechanisms
 from rig.kinds import Struts
 from rig.plan import FILL, low_discrepancy
@@ -157,10 +156,10 @@ def extension_scatter(correction: Correction[Struts, Radial], commands: np.ndarr
 
     back : (m, 6, axes) change of the pose with the struts there
     """
-    if correction.extension is None:
-        return np.zeros(2)
-    square = back**2 @ (correction.extension.error(commands) ** 2)[..., None]
-    return square.mean(axis=0).reshape(2, 3).sum(axis=1)
+    square = np.zeros((len(commands), 6)) if not correction.posed else correction.posed_error(correction.predict(commands)) ** 2
+    if correction.extension is not None:
+        square = square + (back**2 @ (correction.extension.error(commands) ** 2)[..., None])[..., 0]
+    return np.asarray(square.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
 def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> np.ndarray:

@@ -7,18 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.certificate import FOLDS, Certified, Progress, silent
-from calib.certify.claim import LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
+from calib.certify.claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, error_of, pays
-from calib.correct.correction import Correction
-from calib.correct.extend import corrected, extend, geometry_of, left, left_by, with_pass
+from calib.correct.correction import Correction, closing
+from calib.correct.extend import corrected, extend, geometry_of, left
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.grid import lattice
 from calib.correct.interpolate.weighted import Weighted
-from calib.identify.geometry import Identified, identify, parameters, pose_jacobian, to_pose
+from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
 from calib.samples import Samples, precision
-from calib.workspace.region import closing
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
 from rig.errors import RigError
@@ -37,10 +36,12 @@ class Asked(NamedTuple):
 
 
 class Stand(NamedTuple):
-    """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that on top, or None."""
+    """known : what is to be extended, of some samples; correct : the Correction that it stands on with a Field of that on top, or None
+    said : mean square (m^2) by which a Field says that positions of other samples may be off."""
 
     known: Known
     correct: Callable[[Field | None], Correction]
+    said: Callable[[Field, Samples], float]
 
 
 class Tried(NamedTuple):
@@ -68,35 +69,21 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
 
     def stand(some: Samples) -> Stand:
         geometry = found if some is samples else geometry_of(some, nominal, asked.alone, found.prior)
-        return Stand(left(some, geometry), lambda field: corrected(nominal, geometry, field))
+        return Stand(left(some, geometry), lambda field: corrected(nominal, geometry, field), lambda field, at: said_by_struts(field, at, nominal))
 
-    done, tried = _extended(samples, (nominal, label, found), stand, asked.kind, rng, said)
+    done, tried = extended_on(samples, (nominal, label, found), stand, asked.kind, rng, said)
     field = done.correction.extension
     return done if field is None else replace(done, found=_without(samples, nominal, found, field, asked.alone)), tried
 
 
-def certify_onto(samples: Samples, correction: Correction, kind: str, rng: np.random.Generator,
-                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
-    """(Certified, what was tried): one more pass on the machine that a Correction corrects, by samples measured anew; the rest as `certify_extended`.
+def extended_on(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
+                rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
+    """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
-    Source: configuration-space patent, [0035]
+    basis : nominal, label (n,) of the samples, the geometry
     """
-    nominal = correction.nominal
-    found = geometry_of(samples, nominal, True)
-
-    def stand(some: Samples) -> Stand:
-        return Stand(left_by(some, correction), lambda field: with_pass(correction, field))
-
-    labelled = nominal, labels(samples.commanded, ranges(nominal)), replace(found, mechanism=correction.fitted)
-    done, tried = _extended(samples, labelled, stand, kind, rng, progress or silent)
-    return replace(done, found=replace(done.found, residuals=left_by(samples, done.correction).values)), tried
-
-
-def _extended(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
-              rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
-    """What one way, or of all ways the best, makes of what a stand leaves; basis : nominal, label (n,) of the samples, the geometry."""
     nominal, label, found = basis
-    known, correct = stand(samples)
+    known, correct, said_of = stand(samples)
     fields: dict[str, Field | None] = {NONE: None}
     refused: dict[str, str] = {}
     for name in kinds.ALL if kind == AUTO else (kind,):
@@ -116,7 +103,7 @@ def _extended(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], st
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
     if isinstance(field, Weighted) and outcome is not None and outcome.beside:
-        field = _scaled(field, outcome, held[kind], nominal)
+        field = _scaled(field, said_of(field, outcome.samples), held[kind])
     return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
 
 
@@ -163,7 +150,7 @@ def _held_out(samples: Samples, nominal: Struts, stand: Callable[[Samples], "Sta
     said("holding configurations out", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
         rest = samples.take(out)
-        known, correct = stand(samples.take(fitted))
+        known, correct, _ = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
         before.append(error_of(mechanisms.of(nominal).forward(rest.commanded, nominal), rest))
         for name, field in fields.items():
@@ -175,12 +162,16 @@ def _held_out(samples: Samples, nominal: Struts, stand: Callable[[Samples], "Sta
     return _Outcome(dense, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
 
 
-def _scaled(field: Weighted, outcome: _Outcome, held: HeldOut, nominal: Struts) -> Weighted:
+def _scaled(field: Weighted, said: float, held: HeldOut) -> Weighted:
     """The field with its misfit as the poses held out have it: their errors beyond what measuring them adds, over what the field says of itself."""
-    back = to_pose(outcome.samples.T_base_platform, nominal)
-    said = (back[:, :3] ** 2 @ (field.error(outcome.samples.commanded) ** 2)[..., None]).sum(axis=1).mean()
     seen = max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
     return replace(field, misfit=field.misfit * np.sqrt(seen / said))  # type: ignore[type-var]
+
+
+def said_by_struts(field: Field, samples: Samples, nominal: Struts) -> float:
+    """m^2, mean square by which a Field over the configuration space says that positions of samples may be off."""
+    back = to_pose(samples.T_base_platform, nominal)
+    return float((back[:, :3] ** 2 @ (field.error(samples.commanded) ** 2)[..., None]).sum(axis=1).mean())
 
 
 def _best(outcome: _Outcome) -> str:
@@ -196,7 +187,8 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     correction: Correction = done.correction
     kinematics = mechanisms.of(correction.nominal)
     each = witnesses(samples, done.label, to_pose(samples.T_base_platform, correction.nominal))
-    way = "nothing at all" if correction.extension is None else correction.extension.kind
+    ways = ([] if correction.extension is None else [correction.extension.kind]) + [f"{one.field.kind} in pose space" for one in correction.posed]
+    way = " and ".join(ways) or "nothing at all"
     told = Told(len(each), 0, 0, 0, f"no parameters were sought: the summands are extended by {way}")
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
     if len(each) < LEAST:
@@ -205,6 +197,8 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     offset = difference(T, kinematics.forward(commands, correction.nominal))
     own = extension_scatter(correction, commands, to_pose(T, correction.fitted))
     workspace = Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle)
-    return claimed(workspace, np.zeros((1000, len(parameters(correction.nominal)))), each, told, rng)
+    known = done.found.covariance  # of what an earlier pass left, where this one does not hold
+    draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
+    return claimed(workspace, draws, each, told, rng)
 
 

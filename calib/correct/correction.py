@@ -8,7 +8,7 @@ Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,8 +17,10 @@ from calib.identify.geometry import Identified, identify
 from calib.identify.tolerance import tolerance
 from calib.correct.interpolate import radial
 from calib.correct.interpolate.field import Field
+from calib.correct.interpolate.part import Within
 from calib.correct.interpolate.radial import Radial
 from calib.correct.interpolate.simplex import Simplex
+from calib.correct.posed import PoseMap
 from calib.samples import Samples
 from rig import mechanisms
 from rig.design import Arm, Hexapod, Planar2
@@ -37,13 +39,15 @@ R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction(Generic[M, R]):
     """nominal : the mechanism as its owner believes it; fitted : its smooth part, nominal itself where no parameters were sought
-    remainder : per axis a Radial or Profile, or None; extension : Field of what is left on top over all axes, or None.
+    remainder : per axis a Radial or Profile, or None; extension : Field of what is left on top over all axes, or None
+    posed : PoseMaps of what these leave, the first first, each of what those before it leave
     """
 
     nominal: M
     fitted: M
     remainder: tuple[R | None, ...]
     extension: Field | None = field(default=None, kw_only=True)
+    posed: tuple[PoseMap, ...] = field(default=(), kw_only=True)
 
     def rho(self, commands: np.ndarray) -> np.ndarray:
         """(..., axes) m, the remainder at commands (..., axes)."""
@@ -56,7 +60,19 @@ class Correction(Generic[M, R]):
 
     def predict(self, commands: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
         """T_base_platform (...) that commands (..., axes) m will really give. Raises NotConverged like the mechanism."""
-        return mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
+        T = mechanisms.of(self.fitted).forward(np.asarray(commands, float) - self.rho(commands), self.fitted, guess)
+        for one in self.posed:
+            T = one.applied(T)
+        return T
+
+    def asked(self, T_base_platform: RigidTransform) -> RigidTransform:
+        """The poses (...) that struts are to be set for so that the machine stands at T (...): maps in pose space undone, the last first.
+
+        Raises NotConverged as they do
+        """
+        for one in reversed(self.posed):
+            T_base_platform = one.undone(T_base_platform)
+        return T_base_platform
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
         """KSF (..., axes) m at commands (..., axes), docs/mathematics.md (19): commanded less what the owner's model says for the pose it gives."""
@@ -77,6 +93,14 @@ class Correction(Generic[M, R]):
         """
         return mechanisms.of(self.nominal).forward(configurations + self.summand(configurations), self.nominal)
 
+    def posed_error(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """(..., 6) m and rad, standard error of what maps in pose space add to poses (...): of the last that holds there."""
+        out = np.zeros((*T_base_platform.shape, 6))
+        for one in self.posed:
+            weight = one.field.part.weight(one.at(T_base_platform))[0][..., None] if isinstance(one.field, Within) else np.ones(1)
+            out = np.sqrt((1 - weight) * out**2 + one.error(T_base_platform) ** 2)
+        return out
+
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
         return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
@@ -86,11 +110,11 @@ class Correction(Generic[M, R]):
 
         Raises NotConverged with index, commands and residual (m) where the fixed point is not found
         """
-        return self.settled(mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted))
+        return self.settled(mechanisms.of(self.fitted).inverse(self.asked(T_base_platform), self.fitted))
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""
-        goal = mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+        goal = mechanisms.of(self.fitted).inverse(self.asked(T_base_platform), self.fitted)
         try:
             return self.settled(goal)
         except NotConverged as error:
@@ -121,6 +145,18 @@ class Correction(Generic[M, R]):
             raise NotConverged(f"the corrected command of {len(failed)} poses was not found", failed,
                                commands.reshape(-1, commands.shape[-1])[failed], np.ravel(change)[failed])
         return commands
+
+
+def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+    """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
+    while True:
+        try:
+            return commands, correction.predict(commands)
+        except NotConverged as error:
+            rest = np.delete(commands, error.index, axis=0)
+            if not len(rest):
+                raise
+            commands = rest
 
 
 def reachable(commands: np.ndarray, mechanism: Struts | Arm, labels: Sequence[str]) -> None:

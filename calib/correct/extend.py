@@ -9,8 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction
+from calib.correct import posed
+from calib.correct.correction import Correction, closing
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.passes import Passes
@@ -20,6 +22,7 @@ from calib.identify.tolerance import tolerance
 from calib.samples import Samples
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
+from rig.design import Planar2
 from rig.errors import NotConverged
 from rig.kinds import Struts
 
@@ -62,7 +65,7 @@ def left_by(samples: Samples, correction: Correction[Any, Any]) -> Known:
 
     Source: configuration-space patent, [0035]
     """
-    known = summands(samples, correction.fitted)
+    known = summands(replace(samples, T_base_platform=correction.asked(samples.T_base_platform)), correction.fitted)
     return Known(known.configurations, known.values - correction.rho(samples.commanded), known.variances, known.strokes)
 
 
@@ -73,6 +76,40 @@ def with_pass(correction: Correction[Any, Any], field: Field | None) -> Correcti
     before = correction.extension
     fields = () if before is None else before.fields if isinstance(before, Passes) else (before,)
     return replace(correction, extension=Passes((*fields, field)))
+
+
+def left_in_poses(samples: Samples, correction: Correction[Any, Any]) -> Known:
+    """What an earlier pass leaves in pose space: where machines were measured, as tangents from where its correction takes them to stand.
+
+    Over the coordinates in which the mechanism's poses differ, see `posed.PoseMap`. Source: configuration-space patent, [0035]
+    """
+    nominal, some = correction.nominal, list(coordinates(correction.nominal))
+    home = home_of(nominal)
+    T = correction.predict(samples.commanded)
+    _, all_over = closing(low_discrepancy(mechanisms.of(nominal).travel(nominal), PLACES, 1.0), correction)
+    x, box = (posed.places(poses, home)[:, some] for poses in (T, all_over))
+    both = np.concatenate([x, box])
+    variances = np.einsum("nii->ni", samples.covariance)[:, some]
+    return Known(x, posed.errors(T, samples.T_base_platform)[:, some], variances, np.stack([both.min(axis=0), both.max(axis=0)], axis=1))
+
+
+def coordinates(mechanism: Struts) -> tuple[int, ...]:
+    """Indices of posed.NAMES in which poses of a mechanism differ."""
+    return (0, 1) if isinstance(mechanism, Planar2) else tuple(range(6))
+
+
+def home_of(mechanism: Struts) -> RigidTransform:
+    """T_base_platform at a mechanism's home."""
+    kinematics = mechanisms.of(mechanism)
+    return kinematics.forward(kinematics.home(mechanism), mechanism)
+
+
+def with_map(correction: Correction[Any, Any], field: Field | None) -> Correction[Any, Any]:
+    """The Correction with one more map in pose space, applied last; the same where the map is None."""
+    if field is None:
+        return correction
+    one = posed.PoseMap(home_of(correction.nominal), coordinates(correction.nominal), field)
+    return replace(correction, posed=(*correction.posed, one))
 
 
 def extend(known: Known, kind: str, like: Field | None = None) -> Field:

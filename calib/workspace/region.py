@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction
+from calib.correct.correction import Correction, closing
 from rig import mechanisms
 from rig.errors import NotConverged
 from rig.pose import difference
@@ -31,19 +31,7 @@ class Side:
 
 def owners(correction: Correction[Any, Any]) -> Correction[Any, Any]:
     """The machine as its owner believes it, as a Correction that corrects nothing."""
-    return replace(correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None)
-
-
-def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
-    """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
-    while True:
-        try:
-            return commands, correction.predict(commands)
-        except NotConverged as error:
-            rest = np.delete(commands, error.index, axis=0)
-            if not len(rest):
-                raise
-            commands = rest
+    return replace(correction, fitted=correction.nominal, remainder=(None,) * len(correction.remainder), extension=None, posed=())
 
 
 def side(machine: Correction[Any, Any], other: Correction[Any, Any], commands: np.ndarray) -> Side:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands import checking, from_limbs
+from rig.commands import checking, extending, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
 from rig.errors import RigError
 from rig.kinds import arm_of, hexapod_of, struts_of
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from rig.recording import Recording
 
 
-WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
-
-
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
@@ -39,11 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
                       "geometry; rig correct undoes it")
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
-    parser.add_argument("--extend", choices=WAYS, metavar="WAY", help="extend the corrections at the recorded configurations over all of them: "
-                        f"{', '.join(WAYS[:-1])} (linear and simplex take a grid, as the plan division:2 visits one), or auto, by held-out error")
-    parser.add_argument("--alone", action="store_true", help="of --extend: correct the owner's model itself, with no geometry fitted first")
-    parser.add_argument("--onto", metavar="CALIBRATION", type=Path, help="of --extend: one more pass, on the rig that this calibration corrects: "
-                        "what it leaves in the recording is corrected on top; order and count are kept")
+    extending.arguments(parser)
     parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
     from_limbs.arguments(parser)
     add_force(parser)
@@ -74,10 +67,7 @@ def _calibrate(arguments: Namespace) -> None:
     findings = _findings(arguments, recording)
     sampled = from_limbs.sampled(arguments, recording, progress, look)
     rng = np.random.default_rng(SEED)
-    if (arguments.alone or arguments.onto) and not arguments.extend or (arguments.alone and arguments.onto):
-        raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
-    if arguments.extend and arguments.joint:
-        raise RigError("--extend is not for --joint: give one of them")
+    extending.refuse_mixed(arguments)
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
     elif nominal.kind == "arm":
@@ -160,18 +150,19 @@ def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None]
 def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], arguments: Namespace, rng: np.random.Generator,
               progress: Progress) -> Calibration:
     from calib.certify.certificate import promised
-    from calib.certify.extended import Asked, certify_extended, certify_onto, promised_alone
+    from calib.certify.extended import Asked, certify_extended, promised_alone
     from calib.correct.extend import single_step_misses
     from calib.report import calibration_page
 
     samples, nominal = sampled.samples, struts_of(recording.design.mechanism)
     before = _before(arguments.onto, nominal) if arguments.onto else None
+    kept: dict[str, Any] = {}
     if before is None:
         done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
     else:
-        done, tried = certify_onto(samples, before.correction, arguments.extend, rng, progress)
+        done, tried, kept = extending.passed(arguments, samples, before, rng, progress)
     claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim, before=before)
+    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim, before=None if before is None else (before, kept))
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found), claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
@@ -185,6 +176,8 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     known = getattr(field, "values", None) if field is not None and field.exact else None
     on = f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
         "the owner's model alone" if arguments.alone else "the fitted geometry")
+    for held in done.correction.posed:
+        print(f"a map in pose space: {held.field.kind}")
     rms, most = single_step_misses(done.correction)
     print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
           + (f"; exact at its {len(known)} samples" if known is not None else ""))
@@ -278,7 +271,7 @@ def _say_workspace(calibration: Calibration) -> None:
 
 
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
-            known: tuple[Physics, np.ndarray] | None = None, before: Calibration | None = None) -> Calibration:
+            known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     from calib import store
     from calib.certify.calibration import Calibration
     from calib.pose_covariance import with_workspace
@@ -287,7 +280,7 @@ def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], d
     physics, covariance = (None, found.covariance) if known is None else known
     source = store.provenance(recording, argv, SEED, sampled.source == "images", sampled.files, sampled.data)
     if before is not None:
-        source = store.after(source, before)
+        source = store.after(source, *before)
     calibration = Calibration(
         done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
         done.held_out, source, claim, physics)

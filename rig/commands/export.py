@@ -116,6 +116,9 @@ def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], flo
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
         print(f"rig export: the calibration undoes {names} beside the geometry, which no export holds; use `rig correct` where it matters",
               file=sys.stderr)
+    if correction.posed:
+        print(f"rig export: maps in pose space ({len(correction.posed)}) are in no export; use `rig correct` where they matter",
+              file=sys.stderr)
     every = correction.extension is not None
     return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None or every], None
 

@@ -10,6 +10,7 @@ from calib.correct.interpolate.axes import Axes
 from calib.correct.interpolate.delaunay import Delaunay
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.linear import Linear
+from calib.correct.interpolate.part import Part, Within
 from calib.correct.interpolate.passes import Passes
 from calib.correct.interpolate.polynomial import Polynomial
 from calib.correct.interpolate.radial import Radial, RadialMap
@@ -37,7 +38,22 @@ def as_dict(field: Field) -> dict[str, Any]:
     """dict of a Field, as JSON holds it."""
     if isinstance(field, Passes):
         return {"kind": field.kind, "fields": [as_dict(one) for one in field.fields]}
+    if isinstance(field, Within):
+        return {"kind": field.kind, "field": as_dict(field.field), "low": _bounds(field.part.low), "high": _bounds(field.part.high)}
     return {"kind": field.kind} | {part.name: _plain(getattr(field, part.name)) for part in parts_of(field) if part.init}  # type: ignore[arg-type]
+
+
+def _bounds(values: np.ndarray) -> list[float | None]:
+    """Bounds of a part; null where there is none."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _part(table: Entries, axes: int) -> Part:
+    low, high = (table.array(name, (axes,), nulls=True) for name in ("low", "high"))
+    try:
+        return Part(np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high))
+    except ValueError as error:
+        table.fail(f"{table.name('low')}: {error}", "low")
 
 
 def _plain(value: Any) -> Any:
@@ -50,8 +66,11 @@ def _plain(value: Any) -> Any:
 
 def from_entries(table: Entries, axes: int) -> Field:
     """Field over so many axes, of what `as_dict` gave. Raises FileError for anything else."""
-    if table.text("kind", (*ALL, Passes.kind)) == Passes.kind:
+    named = table.text("kind", (*ALL, Passes.kind, Within.kind))
+    if named == Passes.kind:
         return Passes(tuple(from_entries(one, axes) for one in table.tables("fields")))
+    if named == Within.kind:
+        return Within(from_entries(table.table("field"), axes), _part(table, axes))
     kind = ALL[table.text("kind", tuple(ALL))]
     build: Callable[..., Field] = kind
     if kind is RadialMap:

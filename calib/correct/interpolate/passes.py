@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from calib.correct.interpolate.field import Field
+from calib.correct.interpolate.part import Within
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +27,16 @@ class Passes:
         return np.asarray(sum(field.gradient(x) for field in self.fields))
 
     def error(self, x: np.ndarray) -> np.ndarray:
-        return self.fields[-1].error(x)  # the last pass was measured on what the others left: their errors are in its samples
+        """Of the last pass that holds at x: it was measured on what the others left, whose errors are in its samples."""
+        square = self.fields[0].error(x) ** 2
+        for field in self.fields[1:]:
+            weight = field.part.weight(np.asarray(x, float))[0][..., None] if isinstance(field, Within) else 1.0
+            own = (field.field if isinstance(field, Within) else field).error(x) ** 2
+            square = weight * own + (1 - weight) * square
+        return np.asarray(np.sqrt(square))
 
     def inside(self, x: np.ndarray) -> np.ndarray:
-        return self.fields[-1].inside(x)
+        inside = self.fields[0].inside(x)
+        for field in self.fields[1:]:
+            inside = np.where(field.part.holds(x), field.inside(x), inside) if isinstance(field, Within) else field.inside(x)
+        return np.asarray(inside)

@@ -8,7 +8,8 @@ import pytest
 from calib import store
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import model_covariance, promised
-from calib.certify.extended import Asked, certify_extended, certify_onto, promised_alone
+from calib.certify.extended import Asked, certify_extended, promised_alone
+from calib.certify.onto import Pass, certify_onto
 from calib.correct.extend import single_step_misses
 from rig.configurations import division, low_discrepancy
 from rig.errors import RigError
@@ -120,7 +121,9 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     """A function of each axis alone leaves what struts feel of each other; a pass of simplices on top takes it; both are kept in order."""
     samples, true = gridded
     first, _ = certify_extended(samples, design.mechanism, Asked("axes", True), np.random.default_rng(0))
-    second, tried = certify_onto(samples, first.correction, "simplex", np.random.default_rng(0))
+    before = Calibration(first.correction, first.found.covariance, first.found.scatter, (), (), None, {})
+    second, tried, count = certify_onto(samples, before, Pass("simplex"), np.random.default_rng(0))
+    assert count == len(samples)
     figures = {one.kind: one.held_out.after.position[0] for one in tried}
     assert figures["simplex"] < 0.7 * figures["none"]
     inner = low_discrepancy(design.mechanism.strut_range, 60, 0.5, 3)
@@ -131,5 +134,6 @@ def test_a_second_pass_takes_what_the_first_one_left(gridded, design, tmp_path):
     kept = Calibration(second.correction, second.found.covariance, second.found.scatter, (1,), (), second.held_out, {"seed": 0})
     store.save(tmp_path / "c.json", kept)
     np.testing.assert_allclose(store.load(tmp_path / "c.json").correction.rho(inner), second.correction.rho(inner), atol=1e-18)
-    source = store.after({"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}))
-    assert source == {"recording": "b", "data": ["1", "2"], "passes": [{"recording": "a", "created": "then"}]}
+    source = store.after({"recording": "b", "data": ["2"]}, replace(kept, provenance={"recording": "a", "data": ["1"], "created": "then"}),
+                         {"number": 2})
+    assert source == {"recording": "b", "pass": {"number": 2}, "data": ["1", "2"], "passes": [{"recording": "a", "created": "then"}]}

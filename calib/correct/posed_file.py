@@ -1,0 +1,24 @@
+"""Maps in pose space as calibration.json holds them."""
+
+from typing import Any
+
+from calib.correct.extend import coordinates
+from calib.correct.interpolate import kinds
+from calib.correct.posed import NAMES, PoseMap
+from rig.entries import Entries
+from rig.kinds import Struts
+from rig.pose import vector
+
+
+def map_out(one: PoseMap) -> dict[str, Any]:
+    """dict of a PoseMap, as JSON holds it."""
+    position, rotvec = vector(one.home)[:3].tolist(), vector(one.home)[3:].tolist()
+    return {"home": {"position": position, "rotvec": rotvec}, "coordinates": [NAMES[i] for i in one.coordinates], "field": kinds.as_dict(one.field)}
+
+
+def map_in(table: Entries, nominal: Struts) -> PoseMap:
+    """PoseMap of what `map_out` gave, as Entries, of a mechanism. Raises FileError for anything else."""
+    some = coordinates(nominal)
+    if table.texts("coordinates") != tuple(NAMES[i] for i in some):
+        table.fail(f"{table.name('coordinates')} must be {', '.join(NAMES[i] for i in some)} for a mechanism of kind {nominal.kind!r}", "coordinates")
+    return PoseMap(table.pose("home"), some, kinds.from_entries(table.table("field"), len(some)))
