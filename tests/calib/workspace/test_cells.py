@@ -82,7 +82,7 @@ def test_an_arm_has_cells_that_it_reaches_and_one_of_five_joints_no_share_of_los
     assert 0 <= w.lost < 0.2 and 0 <= w.gained < 0.2 and w.reached.sum() == 256
     assert np.nanmin(w.room) >= 0 and 0 <= np.nanmin(w.singular) < np.nanmax(w.singular) < 1
     assert not words.lines(w, "rad")[0].startswith("workspace: an arm of fewer")
-    five = replace(UR10, joints=UR10.joints[:5], limits=UR10.limits[:5])
+    five = replace(UR10, joints=UR10.joints[:5], limits=UR10.limits[:5], slides=UR10.slides[:5])
     w = workspace(ArmCorrection(five, replace(five, joints=true.rows[:5]), (None,) * 5, np.zeros((1, 5))), same, 128)
     assert w.lost is None and w.gained is None and not w.lost_in.any() and w.reached.sum() == 128
     assert words.lines(w, "rad")[0].startswith("workspace: an arm of fewer than six joints")
