@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.samples import Samples, in_plane, samples
+from rig.design import Instrument
 from rig.errors import NotEnoughData, RigError
 from rig.observed import Corners, Poses
 from rig.recording import Recording
@@ -15,12 +16,15 @@ from vision.reading.collect import Collected
 from vision.recorded import measure_recording
 
 UNSTATED = (1e-5, 1e-4)  # m, rad; standard deviations of poses for which nobody states any
+CAMERAS = Instrument("free", "free", *UNSTATED)  # that see an arm's hand, or the room from it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
-    files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see rig.provenance)"""
+    files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see rig.provenance)
+    instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that cameras see neither is, so
+    that its base among the base's targets and its hand in the platform's frame are solved for; None where all are known."""
 
     samples: Samples
     source: str
@@ -28,6 +32,7 @@ class Sampled:
     collected: Collected | None
     files: tuple[Path, ...] = ()
     data: tuple[str, ...] = ()
+    instrument: Instrument | None = None
 
 
 def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "lenses"), progress: Callable[[str, int, int], None] | None = None,
@@ -40,14 +45,15 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
-        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None)
+        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
     measured, collected = measure_recording(recording, free, progress=progress, look=look)
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
     found = samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
-    return Sampled(freed(recording, found), source, measured, collected)
+    return Sampled(freed(recording, found), source, measured, collected,
+                   instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None)
 
 
 def freed(recording: Recording, found: Samples) -> Samples:

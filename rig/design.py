@@ -189,7 +189,7 @@ class Camera:
 
     width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
     pose : T_base_camera, OpenCV axes; shutter "global" or "rolling"; row_time : s, for a rolling one
-    mount : "fixed", or "moving" with a pose of its own in every frame
+    mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.cameras.KINDS
     """
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import arm_entries
+from rig import arm_entries, camera_entries
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, DISTORTION_TERMS, FACES, SOURCES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker,
-                        MeasuringLimbs, Planar2, Platform, Sensor, SensorPort, Target)
+from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker, MeasuringLimbs,
+                        Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.outside import read_text
@@ -22,7 +22,6 @@ from rig.toml_positions import positions
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 LARGEST_MARKER = 5.0  # m
-LARGEST_IMAGE = 100_000  # px along a side
 LARGEST = 1 << 22  # bytes of a rig.toml
 
 
@@ -57,11 +56,13 @@ def design_of(root: Entries) -> Design:
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
+    cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"))
+    camera_entries.check_in_hand(root, cameras, targets, mechanism)
     return Design(
         name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
         instrument=_instrument(root.table("instrument")) if "instrument" in root.tree else None,
         actuator=actuator, platform=_platform(root.table("platform", optional=True)),
-        cameras=_cameras(root.tables("camera")), targets=_targets(root.tables("target")), sensor=_sensor(root.table("sensor", optional=True)),
+        cameras=cameras, targets=targets, sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None)
@@ -164,42 +165,6 @@ def _sensor(table: Entries) -> Sensor:
     if "bits" in table.tree and table.whole("bits", 8) not in (8, 12):
         table.fail("sensor.bits must be 8 or 12", "bits")
     return Sensor(**values, bits=table.get("bits", 8))
-
-
-def _cameras(tables: list[Entries]) -> tuple[Camera, ...]:
-    cameras: list[Camera] = []
-    for table in tables:
-        table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount"))
-        name = table.identifier("name")
-        if name in [camera.name for camera in cameras]:
-            table.fail(f"camera {name!r} is listed twice", "name", value=name)
-        matrix = table.array("matrix", (3, 3))
-        for (i, j), want in {(0, 1): 0, (1, 0): 0, (2, 0): 0, (2, 1): 0, (2, 2): 1}.items():
-            if matrix[i, j] != want:
-                table.fail(f"{table.name('matrix')} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; "
-                           f"row {i + 1}, column {j + 1} is {matrix[i, j]:g}", "matrix", i, j, value=matrix[i, j])
-        for i in (0, 1):
-            if matrix[i, i] <= 0:
-                table.fail(f"{table.name('matrix')}: the focal length must be positive px, not {matrix[i, i]:g}", "matrix", i, i)
-        distortion = table.array("distortion", (None,))
-        if len(distortion) not in DISTORTION_TERMS:
-            table.fail(f"{table.name('distortion')} must have {', '.join(map(str, DISTORTION_TERMS))} terms (OpenCV order), "
-                       f"got {len(distortion)}", "distortion")
-        shutter = table.text("shutter", ("global", "rolling"), default="global")
-        row_time = table.number("row_time", default=REQUIRED if shutter == "rolling" else 0.0, least=0, most=1, unit="s")
-        width, height = (table.whole(key, 1, most=LARGEST_IMAGE) for key in ("width", "height"))
-        cameras.append(Camera(name, width, height, matrix, distortion, table.pose("pose"), shutter, row_time,
-                              table.text("mount", ("fixed", "moving"), default="fixed"), _source(table)))
-    return tuple(cameras)
-
-
-def _source(table: Entries) -> str | None:
-    """What a camera is opened by, "KIND:PLACE", or None."""
-    source = table.text("source", default=None)
-    if source is not None and (source.partition(":")[0] not in SOURCES or not source.partition(":")[2]):
-        table.fail(f'{table.name("source")} must be written as "KIND:PLACE" with a kind out of {", ".join(SOURCES)}, not {source!r}', "source",
-                   value=source)
-    return source
 
 
 def _targets(tables: list[Entries]) -> tuple[Target, ...]:

@@ -39,7 +39,7 @@ def camera_lines(middle: np.ndarray, reach: float, count: int, width: int, heigh
 
 def looking(eye: np.ndarray, ahead: np.ndarray) -> RigidTransform:
     """Pose of a camera at a place (3,) m that looks along a unit direction (3,), level, OpenCV axes."""
-    right = np.cross(ahead, [0, 0, 1.0])
+    right = np.cross(ahead, [0, 0, 1.0] if abs(ahead[2]) < 0.999 else [0, 1.0, 0])
     right /= np.linalg.norm(right)
     return RigidTransform.from_components(eye, Rotation.from_matrix(np.stack([right, np.cross(ahead, right), ahead], axis=1)))
 
@@ -57,12 +57,13 @@ def camera(name: str, pose: RigidTransform, half_angle: float, size: tuple[int, 
             *([] if mount == "fixed" else [f'mount = "{mount}"']), 'shutter = "global"']
 
 
-def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, place: Iterable[float], angle: float) -> list[str]:
-    """Lines of a cube on a body, its identities from `first` on. edge : m; place : (3,) m of its centre; angle : rad about z"""
+def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, place: Iterable[float], turn: Iterable[float]) -> list[str]:
+    """Lines of a cube on a body, its identities from `first` on. edge : m; place : (3,) m of its centre; turn : (3,) rotation vector, rad"""
     faces = ", ".join(f'"{face}" = {first + k}' for k, face in enumerate(FACES))
+    turned = ", ".join(f"{value:.6f}" if value else "0.0" for value in turn)
     return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
             f'dictionary = "{dictionary}"', f"faces = {{ {faces} }}",
-            f"pose = {{ position = {row(place)}, rotvec = [0.0, 0.0, {angle:.6f}] }}   # cube in body"]
+            f"pose = {{ position = {row(place)}, rotvec = [{turned}] }}   # cube in body"]
 
 
 def row(values: Iterable[float]) -> str:

@@ -36,6 +36,6 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
         for i in range(cubes):
             angle = turn + 2 * np.pi * i / cubes
             place = centre + [circle * np.cos(angle), circle * np.sin(angle), UP * radius + edge / 2]
-            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, number, edge, place, angle)
+            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, number, edge, place, (0, 0, angle))
             number += len(FACES)
     return "\n".join(lines) + "\n"

@@ -18,7 +18,7 @@ from rig.processes import cores, gathered, pool_of
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
-from synthetic.simulation import Simulation
+from synthetic.simulation import Simulation, carried
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
@@ -193,7 +193,7 @@ def _view(camera: Camera, t: float, T: RigidTransform) -> np.ndarray:
 def _travel(i: int, T: RigidTransform) -> float:
     """px that the fastest corner in view of camera i moves between two poses (2,)."""
     design = _state["design"]
-    state, markers = State(design.cameras, T, {}), marker_map(design)
+    state, markers = State(design.cameras, T, carried(design.cameras, T)), marker_map(design)
     found = facing(state, markers)
     found = found.take((found.camera == i) & (found.frame == 0))
     if not len(found.frame):

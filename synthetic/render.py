@@ -91,7 +91,8 @@ class Renderer:
             node.mesh.primitives[0].material.baseColorFactor = self._colour(part, shade(part, matrix))
         if self.eye is not None:
             self.scene.remove_node(self.eye)
-        T = (pinhole.camera.pose if mount is None else pinhole.camera.pose * exp(mount)).as_matrix()
+        stands = pinhole.camera.pose if pinhole.camera.mount != "hand" else T_base_platform * pinhole.camera.pose
+        T = (stands if mount is None else stands * exp(mount)).as_matrix()
         if focal != 1:
             pinhole = _Pinhole(_zoomed(pinhole.camera, focal))
         fx, fy, cx, cy = pinhole.intrinsics

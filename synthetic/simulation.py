@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine
-from rig.design import Design, Instrument, MeasuringLimbs
+from rig.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.files import write_text
 from rig.kinds import axes_of
 from rig.observed import POSE_COLUMNS
@@ -81,7 +81,7 @@ def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: Measuring
 def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
     """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
     world, run = simulation.world, simulation.run
-    state = State(world.true.cameras, run.T_base_platform, {})
+    state = State(world.true.cameras, run.T_base_platform, carried(world.true.cameras, run.T_base_platform))
     stated = real = marker_map(world.true)
     for effect in world.effects:
         real = effect.attach(real)
@@ -93,6 +93,11 @@ def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings
     return found.take(clear), uv[clear]
 
 
+def carried(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
+    """{index: T_base_camera (F,)} of the cameras that a platform at poses (F,) carries."""
+    return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
+
+
 def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
     """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden."""
     square = markers.corners[found.marker]
@@ -100,7 +105,11 @@ def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sight
     matrix = T.as_matrix()[found.frame]
     on = markers.on_platform[found.marker]
     base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
-    eyes = np.array([camera.pose.translation for camera in design.cameras])[found.camera]
+    eyes = np.empty((len(found.frame), 3))
+    moving = carried(design.cameras, T)
+    for i, camera in enumerate(design.cameras):
+        rows = found.camera == i
+        eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
     count = points.shape[1]
     blocked = hidden(design, T, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
     return np.any(blocked.reshape(-1, count), axis=1)

@@ -21,9 +21,9 @@ def wanted(folder, count=6):
     return lines(planar.forward(low_discrepancy(m.strut_range, count, 0.7, 5), m))
 
 
-def test_a_loop_closes_from_corners(tmp_path, capsys):
+def test_a_loop_closes_from_corners(tmp_path, capfd):
     recorded(tmp_path)
-    found = verified(tmp_path, capsys, wanted(tmp_path))
+    found = verified(tmp_path, capfd, wanted(tmp_path))
     holds(found, ("position",))
     assert found["wanted"]["stated_uncertainty"]["rotation"] == 0 and found["before"]["rotation"]["rms"] is None  # a hinge does not turn
     assert found["before"]["position"]["rms"] > 2 * found["after"]["position"]["rms"]
@@ -33,13 +33,13 @@ def test_a_loop_closes_from_corners(tmp_path, capsys):
     assert np.abs(off / sigma).max() < 3 and np.linalg.norm(off[:4]) < 3e-3
 
 
-def test_four_samples_are_exact_where_they_were_taken(tmp_path, capsys):
+def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
     """The source's way: two lengths of either strut, on the owner's model alone, [0082] to [0091]."""
     recorded(tmp_path, "--noise", "0.001", plan="division:1")
     rig("calibrate", tmp_path / "rec", "--extend", "linear", "--alone", "--out", tmp_path / "calibration.json")
-    assert "exact at its 4 samples" in capsys.readouterr().out
+    assert "exact at its 4 samples" in capfd.readouterr().out
     rig("verify", tmp_path / "calibration.json", tmp_path / "rec", "--json")
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(capfd.readouterr().out)
     assert found["after"]["position"]["max"] < 1e-9 < 1e-4 < found["before"]["position"]["rms"]
 
 
@@ -53,7 +53,7 @@ def test_what_holds_a_strut_back_is_found_at_that_strut(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_loop_closes_from_images(tmp_path, capsys):
+def test_a_loop_closes_from_images(tmp_path, capfd):
     recorded(tmp_path, "--images", plan="sobol:12", size="480x384")
     rig("measure", tmp_path / "rec", "--out", tmp_path / "measured")
-    holds(verified(tmp_path, capsys, wanted(tmp_path, 4), ("--images",)), ("position",))
+    holds(verified(tmp_path, capfd, wanted(tmp_path, 4), ("--images",)), ("position",))

@@ -143,6 +143,20 @@ def see(sightings: Sightings, state: State, markers: MarkerMap, t: np.ndarray | 
     return uv
 
 
+def shown(cameras: tuple[Camera, ...], T_base_platform: RigidTransform, markers: MarkerMap) -> np.ndarray:
+    """(F,) how many markers are seen whole, of the platform's by cameras that stand, of the base's by those in the hand, at poses (F,).
+
+    What stands in the way is not looked at
+    """
+    held = {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
+    state = State(cameras, T_base_platform, held)
+    found = facing(state, markers)
+    found = found.take(markers.on_platform[found.marker] != bool(held))
+    whole = inside(found, see(found, state, markers), cameras)
+    pairs = np.unique(np.stack([found.frame[whole], found.marker[whole]], axis=1), axis=0)
+    return np.bincount(pairs[:, 0], minlength=len(T_base_platform))
+
+
 def inside(sightings: Sightings, uv: np.ndarray, cameras: Sequence[Camera], margin: float = INSIDE) -> np.ndarray:
     """(k,) bool, whether all corners (k, 4, 2) px lie in their camera's image, by a margin (px)."""
     size = np.array([[camera.width, camera.height] for camera in cameras])[sightings.camera]

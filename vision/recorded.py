@@ -9,6 +9,7 @@ from rig.errors import NotEnoughData
 from rig.recording import Corners, Recording
 from vision.bundle.adjust import NoOptimum
 from vision.bundle.places import HALVED, doubtful, moves
+from vision.in_hand import exchanged, in_hand, of_platform
 from vision.measure import Measurement, measure
 from vision.observations import Observations, from_corners
 from vision.reading.collect import Collected, collect, image_reader, look_again
@@ -31,6 +32,15 @@ def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "len
     progress : called with (label, done, of), or None; look : called with the Corners before they are measured, or None; what it raises ends it
     Raises NotEnoughData for a recording with neither corners nor images, and what reading and measuring raise
     """
+    if not in_hand(recording.design):
+        return _measured(recording, free, detect_anew, progress, places, look)
+    measured, collected = _measured(exchanged(recording), free, detect_anew, progress, places, look)
+    return of_platform(measured), collected
+
+
+def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, progress: Callable[[str, int, int], None] | None, places: str,
+              look: Callable[[Corners], None] | None) -> tuple[Measurement, Collected | None]:
+    """The same by cameras that stand still or go their own ways."""
     design = recording.design
     if not design.cameras or not design.targets:
         raise NotEnoughData(f"{recording.folder}: rig.toml has {len(design.cameras)} cameras and {len(design.targets)} targets; "

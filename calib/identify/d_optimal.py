@@ -53,19 +53,26 @@ def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion:
         raise RigError(f"{count + len(given)} configurations cannot determine 42 parameters; it takes 7, better 30")
     candidates, G = _candidates(hexapod, sigmas, seed, avoided)
     known = information(given, hexapod, sigmas)[1].reshape(-1, 42) if len(given) else np.zeros((0, 42))
-    M0 = known.T @ known
+    picked = exchanged(G, known.T @ known, count, criterion, progress)
+    even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
+    parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
+    return Chosen(_short_way(candidates[picked], hexapod.strut_range.mean(axis=1)), *(_root(rows) for rows in (parts[0], known, parts[1])))
+
+
+def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None) -> list[int]:
+    """`count` of the candidates with whitened rows G (c, m, p), in plausible sizes, that tell most beside the information M0 (p, p)."""
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
         M = M0 + _sum(G, picked)
-        picked.append(int(np.argmax(_determinant(M + np.eye(42), G)[1])))
+        picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
         if progress:
             progress(k + 1, count * (1 + PASSES))
     for turn in range(PASSES):
         moved = 0
         for k in range(count):
             rest = picked[:k] + picked[k + 1 :]
-            M = M0 + _sum(G, rest) + 1e-9 * np.eye(42)
+            M = M0 + _sum(G, rest) + 1e-9 * np.eye(G.shape[2])
             now, values = gain(M, G, picked[k])
             best = int(np.argmax(values))
             if values[best] > now + PAYS * abs(now):
@@ -76,9 +83,7 @@ def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion:
             break
     if progress:
         progress(count * (1 + PASSES), count * (1 + PASSES))
-    even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
-    parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
-    return Chosen(_short_way(candidates[picked], hexapod.strut_range.mean(axis=1)), *(_root(rows) for rows in (parts[0], known, parts[1])))
+    return picked
 
 
 def information(commands: np.ndarray, hexapod: Hexapod, sigmas: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +115,7 @@ def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
 
 
 def _sum(G: np.ndarray, picked: list[int]) -> np.ndarray:
-    rows = G[picked].reshape(-1, 42)
+    rows = G[picked].reshape(-1, G.shape[2])
     return rows.T @ rows
 
 

@@ -217,7 +217,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
 
-    done = certify(sampled.samples, arm_of(recording.design.mechanism), recording.design.instrument, rng, progress)
+    done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done), claim, progress)

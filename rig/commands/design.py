@@ -1,4 +1,4 @@
-"""rig design --radius R --out rig.toml, or rig design --arm NAME --out rig.toml."""
+"""rig design --radius R --out rig.toml, or rig design --arm NAME [--seen cubes|hand] --out rig.toml."""
 
 
 from argparse import ArgumentParser, Namespace
@@ -12,6 +12,8 @@ def arguments(parser: ArgumentParser) -> None:
                         "the shelf, with --arm")
     parser.add_argument("--arm", metavar="NAME", help="a shipped arm's nominal figures, with an instrument that measures it: puma560, ur10, "
                         "panda, stanford, scara, gantry")
+    parser.add_argument("--seen", choices=("cubes", "hand"), help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
+                        "fixed cameras, or with the cameras in its hand before cubes that stand")
     parser.add_argument("--radius", type=float, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance")
     parser.add_argument("--cameras", type=int, default=3)
     parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
@@ -25,8 +27,6 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write or print a rig.toml."""
-    import re
-
     from rig.errors import RigError
     from rig import layout, layout_planar
 
@@ -35,13 +35,13 @@ def run(arguments: Namespace) -> None:
         return
     if arguments.radius is None:
         raise RigError("a hexapod or planar2 takes --radius, an arm --arm")
-    size = re.fullmatch(r"(\d+)[xX](\d+)", arguments.size)
-    if not size:
-        raise RigError(f"--size takes for example 1280x1024, not {arguments.size!r}")
+    if arguments.seen is not None:
+        raise RigError("--seen is of an arm; give it with --arm")
+    size = _size(arguments.size)
     kind = arguments.mechanism or "hexapod"
     if arguments.limbs and kind != "hexapod":
         raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
-    figures = (arguments.radius, arguments.cameras, int(size[1]), int(size[2]), arguments.cubes, arguments.dictionary, arguments.name or kind)
+    figures = (arguments.radius, arguments.cameras, *size, arguments.cubes, arguments.dictionary, arguments.name or kind)
     _write(arguments, layout.layout(*figures, arguments.limbs) if kind == "hexapod" else layout_planar.layout(*figures))
 
 
@@ -54,7 +54,24 @@ def _shipped(arguments: Namespace) -> None:
         raise RigError(f"--mechanism arm takes --arm with the name of a shipped one: {', '.join(shelf.names())}")
     if arguments.mechanism in ("hexapod", "planar2") or arguments.radius is not None:
         raise RigError(f"--arm brings its own figures; --mechanism {arguments.mechanism or 'hexapod'} and --radius are for struts")
-    _write(arguments, shelf.design(arguments.arm))
+    if arguments.seen is None:
+        _write(arguments, shelf.design(arguments.arm))
+        return
+    from rig.layout_arm import layout
+
+    _write(arguments, layout(arguments.arm, arguments.seen, arguments.cameras, _size(arguments.size), arguments.cubes, arguments.dictionary))
+
+
+def _size(text: str) -> tuple[int, int]:
+    """(width, height) px of text like 1280x1024. Raises RigError for other text."""
+    import re
+
+    from rig.errors import RigError
+
+    size = re.fullmatch(r"(\d+)[xX](\d+)", text)
+    if not size:
+        raise RigError(f"--size takes for example 1280x1024, not {text!r}")
+    return int(size[1]), int(size[2])
 
 
 def _write(arguments: Namespace, text: str) -> None:

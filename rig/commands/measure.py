@@ -53,6 +53,7 @@ def run(arguments: Namespace) -> None:
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
     from vision.bundle.places import listed, places
+    from vision.in_hand import exchanged, in_hand, of_platform
     from vision.reading.collect import image_reader
     from vision.reading.identity import suspects
     from vision.recorded import measure_recording
@@ -61,7 +62,10 @@ def run(arguments: Namespace) -> None:
     measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, progress, arguments.places, look)
     held, determination = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment)
     moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
-    wrong = suspects(measured, marker_map(recording.design), collected.repeated if collected else (), image_reader(recording))
+    seen, as_seen = exchanged(recording), measured
+    if in_hand(recording.design):
+        as_seen, determination = of_platform(measured), determination.from_the_hand()
+    wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), image_reader(seen))
     text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))

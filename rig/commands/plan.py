@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import SEED, Progress, add_force, file_or_stdout, length
+from rig.design import Arm
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from calib.identify.d_optimal import Avoided
-    from rig.design import Arm, Free, Hexapod, Planar2
+    from rig.design import Design, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
 MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
@@ -79,7 +80,6 @@ def _separate(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from calib.diagnose.problems.platform.separation import separation
     from rig import design_file, writing
     from rig.effects.parse import parse, placed
     from rig.plan import build, logged
@@ -93,11 +93,16 @@ def _separate(arguments: Namespace) -> None:
     if seen:
         raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "
                        "rig diagnose's page")
-    if design.mechanism.kind != "hexapod":
-        raise RigError(f"plans to separate effects are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
+    if design.mechanism.kind not in ("hexapod", "arm"):
+        raise RigError(f"plans to separate effects are for hexapods and arms, not for a mechanism of kind {design.mechanism.kind!r}")
+    if design.mechanism.kind == "arm":
+        from calib.diagnose.problems.arm.separation import separation
+    else:
+        from calib.diagnose.problems.platform.separation import separation
     out = arguments.outputs.file(arguments.out)
     trials = []
-    for text in (*MOVES, *(",".join(pair) for pair in combinations(MOVES, 2))):
+    moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
+    for text in (*moves, *(",".join(pair) for pair in combinations(moves, 2))):
         plan = build(design, text, SEED)
         sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
         trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
@@ -116,12 +121,15 @@ def _separate(arguments: Namespace) -> None:
 def _parameters(arguments: Namespace) -> None:
     from rig import design_file, writing
 
-    mechanism = design_file.load(arguments.design).mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"plans for parameters are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    design = design_file.load(arguments.design)
+    mechanism = design.mechanism
+    if mechanism.kind not in ("hexapod", "arm"):
+        raise RigError(f"plans for parameters are for hexapods and arms, not for a mechanism of kind {mechanism.kind!r}")
     if arguments.count < 1 or min(arguments.sigma) <= 0:
         raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
     out = arguments.outputs.file(arguments.out)
+    if isinstance(mechanism, Arm):
+        return _of_arm(arguments, design, mechanism, out)
 
     from calib.identify.d_optimal import choose
     from calib.identify.observability import PLAUSIBLE, combinations
@@ -149,6 +157,31 @@ def _parameters(arguments: Namespace) -> None:
     for part in (before if visited else after)[:SHOWN]:
         print(f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
               f"  {_sigma(part.sigma)}  {part.name}")
+    print(f"written: {arguments.out}")
+
+
+def _of_arm(arguments: Namespace, design: Design, arm: Arm, out: Any) -> None:
+    """Write the configurations that tell most of an arm's parameters, of those in which cameras see it."""
+    from functools import partial
+
+    from calib.arms.informative import choose
+    from rig import writing
+    from vision.predict import shown
+    from vision.targets import marker_map
+
+    if arguments.calibration or arguments.given or arguments.criterion != "determinant":
+        raise RigError("--calibration, --given and --criterion noise are for hexapods")
+    looked = partial(shown, design.cameras, markers=marker_map(design)) if design.cameras and design.targets else None
+    progress = Progress()
+    found = choose(arm, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
+    progress.close()
+    writing.write_table(out, ("frame", *arm.axes), [f"{k}," + ",".join(f"{value:.7f}" for value in q) for k, q in enumerate(found.q)])
+    if looked is not None:
+        print(f"markers are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
+    print(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least gain first:")
+    worst = (found.sigma / found.even).argsort()[::-1]
+    for k in worst[:SHOWN]:
+        print(f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}")
     print(f"written: {arguments.out}")
 
 

@@ -1,6 +1,7 @@
 """What a recording can and cannot determine: combinations of shared unknowns that its images leave where they were stated."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class Determined:
         if not self.undetermined:
             out.append("every adjusted combination is determined by the images better than by what was stated")
         return out
+
+    def from_the_hand(self) -> "Determined":
+        """The same where the platform carries the cameras, and the body that they see is the base."""
+        swap = {"platform frame": "base frame", "base frame": "platform frame"}
+        return replace(self, held=tuple(re.sub("|".join(swap), lambda word: swap[word[0]], line) for line in self.held))
 
     def summary(self) -> str:
         """The statement in one line: how much the recording determines; which, the lines say."""

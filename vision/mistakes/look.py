@@ -12,6 +12,7 @@ from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from rig.mistakes import Mistake, in_order, motion
 from rig.recording import Corners, Recording
+from vision.in_hand import exchanged, in_hand
 from vision.measure import Measurement
 from vision.mistakes import cameras, targets
 from vision.mistakes import corners as order
@@ -41,6 +42,7 @@ def look(recording: Recording, corners: Corners, thorough: bool = False) -> tupl
     corners : Corners of its images or its corners.csv; thorough : whether many frames are held against the commands,
     not a few, and the search goes on for longer
     """
+    held, recording = in_hand(recording.design), exchanged(recording)
     frames, t = recording.exposures.times()
     seen = of(recording.design, corners, frames, t)
     if seen is None:
@@ -48,8 +50,8 @@ def look(recording: Recording, corners: Corners, thorough: bool = False) -> tupl
     first = trial(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
     if best.measured is not None:
-        found += _posed(best.measured, recording.design) + _lens(best.measured, best.seen.design)
-        found += _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
+        found += ([] if held else _posed(best.measured, recording.design)) + _lens(best.measured, best.seen.design)
+        found += [] if held else _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
     return in_order(found)
 
 

@@ -88,7 +88,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     """
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
-    arms, found = arms_of(sampled.samples, recording.design, recording.commands, sensors)
+    arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
     done = diagnosed(arms, found, recording.folder.resolve().name, sampled.source, Asked.of(only, without, given), progress, given=given)
     return replace(done, origin=recording.origin)
 

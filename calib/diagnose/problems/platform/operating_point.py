@@ -18,6 +18,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.kinds import Struts
 from rig.pose import exp
 from rig.recording import Commands, Recording, Sensors
+from vision.in_hand import in_hand
 from vision.measure import Measurement
 from vision.observations import Observations
 from vision.predict import Sightings, State, see
@@ -174,9 +175,9 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     else:
         sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
         measured, source = sampled.measurement, sampled.source
-        if measured is None:
+        if measured is None or in_hand(design):  # whose corners are seen from the platform: its poses stand for them
             s = sampled.samples
-            return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.covariance, recording.commands, sensors, None,
+            return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.total_covariance(), recording.commands, sensors, None,
                                   known=known, log_errors=log_errors), source, None
     if len(measured.frames) < FEWEST:
         raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes {FEWEST}, better 100")

@@ -1,9 +1,8 @@
 """Which moves tell two effects apart: what each does to the struts in each part of a plan, less what the geometry can swallow."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from calib.diagnose.engine.separation import Separation, separated
 from calib.identify.geometry import PRIOR, loop_jacobian
 from rig import machine
 from rig.design import Design, Hexapod
@@ -13,18 +12,7 @@ from rig.mechanisms import hexapod
 from rig.recording import Commands, Sensors
 
 
-@dataclass(frozen=True, slots=True)
-class Separation:
-    """plan : its text; frames; misfit : standard deviations by which the better of two models beats the other, scaled to fit its best,
-    over the plan's exposures; cosine : of the two sensitivities, geometry taken out"""
-
-    plan: str
-    frames: int
-    misfit: float
-    cosine: float
-
-
-def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors, effects: list[Effect],
+def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sensors: Sensors | None, effects: list[Effect],
                sigma: tuple[float, float]) -> Separation:
     """Separation of two effects (each as large as it is expected to be) by one plan.
 
@@ -42,12 +30,5 @@ def separation(text: str, design: Design, commands: Commands, t: np.ndarray, sen
     for effect in effects:
         moved = machine.run(design, commands, t, (effect,), sensors).T_base_platform
         parts.append((W @ (hexapod.inverse(moved, m) - hexapod.inverse(still.T_base_platform, m))[..., None]).ravel())
-    D = np.concatenate([(W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42), np.eye(42) / PRIOR])
-    Q = np.linalg.qr(D)[0]
-    a, b = (np.r_[part, np.zeros(42)] for part in parts)
-    a, b = a - Q @ (Q.T @ a), b - Q @ (Q.T @ b)
-    norms = np.linalg.norm(a), np.linalg.norm(b)
-    if min(norms) == 0:
-        return Separation(text, len(t), float(max(norms)), 0.0)
-    cosine = float(a @ b / norms[0] / norms[1])
-    return Separation(text, len(t), float(min(norms) * np.sqrt(max(1 - cosine**2, 0.0))), cosine)
+    D = (W @ loop_jacobian(still.T_base_platform, m)).reshape(-1, 42)
+    return separated(text, len(t), (parts[0], parts[1]), D, np.full(42, PRIOR))

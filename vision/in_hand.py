@@ -1,0 +1,42 @@
+"""Cameras that the platform carries (mount "hand"): the base is the body that is seen, and the platform stands where that says, inverted.
+
+In the platform's own frame such a camera stands still and the base's markers move. So it is measured like any rig, with base and platform
+exchanged; the stated pose of the camera in the platform holds the platform's frame, the markers' stated places the base's.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.design import Design
+from rig.pose import skew
+from rig.recording import Recording
+from vision.measure import Measurement
+
+
+def in_hand(design: Design) -> bool:
+    """Whether a rig's cameras are carried by its platform; rig.toml has all of them there, or none."""
+    return any(camera.mount == "hand" for camera in design.cameras)
+
+
+def exchanged(recording: Recording) -> Recording:
+    """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves; others as they are."""
+    design = recording.design
+    if not in_hand(design):
+        return recording
+    cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
+    return replace(recording, design=replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets)))
+
+
+def of_platform(measured: Measurement) -> Measurement:
+    """The Measurement of a body whose poses are the inverses: poses, covariances and what they share.
+
+    T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
+    """
+    T = measured.T_base_platform
+    R, t = T.rotation.as_matrix(), T.translation
+    adjoint = np.zeros((len(T), 6, 6))
+    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
+    adjoint[:, :3, 3:] = skew(t) @ R
+    return replace(measured, T_base_platform=T.inv(), covariance=adjoint @ measured.covariance @ np.swapaxes(adjoint, 1, 2),
+                   common=-adjoint @ measured.common)
