@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib.report import page, table
+from calib.html_page import page, table
 from vision.lenses.photographs import Calibrated
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.report import page, table
+from calib.html_page import page, table
 from calib.svg import STYLE
 from calib.workspace import drawing, words
 from calib.workspace.cells import Workspace

@@ -11,7 +11,8 @@ from calib.arms.certify import Certified
 from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures
 from calib.certify.held_out import errors_of
-from calib.report import before_after, coverage, origin, page, table, worth
+from calib.html_page import coverage, page, table
+from calib.report import before_after, origin, worth
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms

@@ -4,7 +4,8 @@ import html
 from pathlib import Path
 
 from calib.certify.repeats import FEWEST
-from calib.report import flat, page, table
+from calib.html_page import page, table
+from calib.report import flat
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
 from calib.svg import STYLE

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calib.report import page, table
+from calib.html_page import page, table
 from synthetic import score
 
 if TYPE_CHECKING:

@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
     from calib.certify.held_out import uncertainty
-    from calib.report import measurement_page
+    from calib.measured_page import measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
     from vision.bundle.places import listed, places

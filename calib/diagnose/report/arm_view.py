@@ -13,7 +13,7 @@ from calib.diagnose.report.arm_picture import picture
 from calib.diagnose.report.drawing import scatter
 from calib.diagnose.report.page import Part
 from calib.diagnose.report.schema import FindingEntry
-from calib.report import table
+from calib.html_page import table
 from rig import mechanisms
 
 ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")

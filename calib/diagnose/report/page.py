@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from calib.diagnose.report import words
 from calib.diagnose.report.schema import FindingEntry, Report
-from calib.report import page, table
+from calib.html_page import page, table
 
 Part = str | Figure
 DOTS = ("<p class=note>Dots are residuals, circles means of as many dots each with their 95 % interval. Without it: the best that calibration can "
