@@ -86,3 +86,9 @@ def precision(covariance: np.ndarray) -> np.ndarray:
 def blocks(count: int, folds: int) -> np.ndarray:
     """(count,) fold number of each sample: whole stretches in time, as equal as can be, never single rows."""
     return np.minimum(np.arange(count) * folds // max(count, 1), folds - 1)
+
+
+def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
+    position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    return position, rotation

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.certify.configurations import LEAST
 from calib.correct.correction import Correction
-from calib.samples import Samples
+from calib.samples import Samples, uncertainty
 from rig import mechanisms
 from rig.pose import difference
 
@@ -70,12 +70,6 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
     low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
     ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
     return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
-
-
-def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
-    position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
-    return position, rotation
 
 
 def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.ndarray, np.ndarray]:

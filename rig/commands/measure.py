@@ -48,7 +48,7 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
-    from calib.certify.held_out import uncertainty
+    from calib.samples import uncertainty
     from calib.measured_page import measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
@@ -65,7 +65,8 @@ def run(arguments: Namespace) -> None:
     seen, as_seen = exchanged(recording), measured
     if in_hand(recording.design):
         as_seen, determination = of_platform(measured), determination.from_the_hand()
-    wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), image_reader(seen))
+    look_at = image_reader(seen) if any(recording.exposures.image) else None
+    wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
     text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
@@ -87,7 +88,7 @@ def run(arguments: Namespace) -> None:
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:
     """Write the poses that measuring limbs tell, with covariance; rig.toml stays as stated, since no camera was adjusted."""
-    from calib.certify.held_out import uncertainty
+    from calib.samples import uncertainty
     from rig import provenance, writing
     from rig.observed import Poses
 

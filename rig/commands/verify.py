@@ -80,7 +80,8 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
     from calib.arms import certify
     from calib.certify.certificate import model_covariance
-    from calib.certify.held_out import figures, uncertainty
+    from calib.certify.held_out import figures
+    from calib.samples import uncertainty
     from rig.pose import difference
 
     frames = recording.exposures.times()[0].tolist()

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Marker
@@ -122,7 +122,7 @@ def moves(a: Adjustment) -> tuple[Move, ...]:
         values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
         free = values > 1e-12
         square = ((vectors.T @ (by / scale))[free] ** 2 / values[free]).sum()
-        out.append(Move(f"marker {ids[row]}", by, WIDE * np.sqrt(np.diag(C)), bool(free.any() and stats.chi2.sf(square, free.sum()) < 1 - PROOF)))
+        out.append(Move(f"marker {ids[row]}", by, WIDE * np.sqrt(np.diag(C)), bool(free.any() and special.chdtrc(free.sum(), square) < 1 - PROOF)))
     return tuple(out)
 
 
