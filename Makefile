@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files test test-slow test-bounds fuzz fuzz-wire bench clean
+.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench clean
 
 setup: .venv/.ready
 
@@ -18,6 +18,13 @@ demo: .venv/.runs
 
 demo-files: .venv/.runs
 	sh .ci/demo-files
+
+docs: .venv/.runs
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
+	$(BIN)/python -m docs.make.tables > docs/tables.md
+	$(BIN)/python -m rig.effects.catalogue > docs/effects.md
+	$(BIN)/python -m mkdocs build --quiet
 
 test: setup
 	$(BIN)/python -m pytest -q -n auto

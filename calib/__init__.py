@@ -1,1 +1,24 @@
-"""Poses to a better rig: parameters, corrections, what is promised of them, and what physics was left out."""
+"""Poses to a better rig: parameters, corrections, what is promised of them, and what physics was left out.
+
+`calibrated` takes a recording (rig.load) to its `Calibration`, `diagnosed` to the `Report` of what its model leaves out, `certified` a calibration
+and recordings that it was not made from to a `Certificate`. `load` and `save` are of calibration.json.
+"""
+
+from typing import TYPE_CHECKING
+
+from rig.lazily import handed_on
+
+if TYPE_CHECKING:
+    from calib.certify.calibration import Calibration as Calibration
+    from calib.diagnose.report.schema import Report as Report
+    from calib.from_recordings import calibrated as calibrated
+    from calib.from_recordings import certified as certified
+    from calib.from_recordings import diagnosed as diagnosed
+    from calib.statement.certificate import Certificate as Certificate
+    from calib.store import load as load
+    from calib.store import save as save
+
+__all__ = ["calibrated", "diagnosed", "certified", "load", "save", "Calibration", "Report", "Certificate"]
+__getattr__ = handed_on(__name__, {
+    **dict.fromkeys(("calibrated", "diagnosed", "certified"), "calib.from_recordings"), **dict.fromkeys(("load", "save"), "calib.store"),
+    "Calibration": "calib.certify.calibration", "Report": "calib.diagnose.report.schema", "Certificate": "calib.statement.certificate"})

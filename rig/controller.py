@@ -9,9 +9,11 @@ PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Controller:
-    """protocol : one of PROTOCOLS; port : device, or URL that pyserial opens; usb : serial number or hardware id by which to find the port
-    again, or ""; axes : the controller's names of the axes, in the mechanism's order, () for the protocol's own
+    """What drives the axes.
 
+    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL that pyserial opens; usb : serial number or
+    hardware id by which to find the port again, or ""; axes : the controller's names of the axes, in the mechanism's order, () for the
+    protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed
     zero : (n,) m, an axis's length where the controller reads 0; home : (n,) m, lengths after homing, or None where not stated
     max_speed : (n,) m/s; max_acceleration : (n,) m/s^2, None for what the controller itself allows

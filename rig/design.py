@@ -127,8 +127,8 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """Who wrote poses.csv: base, tool "free" (unknown, solved for) or "rig"; position_sigma (m), rotation_sigma (rad), None for
-    one that sees positions alone (a reflector, a touched ball)."""
+    """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig"; position_sigma : m, of a
+    coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a touched ball)"""
 
     base: str
     tool: str
@@ -156,8 +156,8 @@ class MeasuringLimbs:
 
 @dataclass(frozen=True, slots=True)
 class SensorPort:
-    """Where sensors beside the struts are read: port as pyserial opens it; ask : line that makes them answer, "" where they send by
-    themselves; channels : names as in sensors.csv, in the order of the numbers in a line."""
+    """Where sensors beside the struts are read. port : as pyserial opens it; baudrate : bits per second; ask : line that makes them answer, ""
+    where they send by themselves; channels : names as in sensors.csv, in the order of the numbers in a line"""
 
     port: str
     baudrate: int
@@ -167,7 +167,7 @@ class SensorPort:
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """screw_lead (m per revolution) or None, joints ("cardan-cardan", "cardan-ball") or None, max_speed (m/s) or None."""
+    """What moves a strut; None where not stated. screw_lead : m per revolution; joints : at base and platform; max_speed : m/s"""
 
     screw_lead: float | None
     joints: str | None
@@ -176,7 +176,7 @@ class Actuator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Platform:
-    """mass (kg); centre_of_mass, payload_centre_of_mass : (3,) m, platform frame, or None where not stated."""
+    """What the struts carry; None where not stated. mass : kg; centre_of_mass, payload_centre_of_mass : (3,) m, platform frame"""
 
     mass: float | None
     centre_of_mass: np.ndarray | None
@@ -187,8 +187,8 @@ class Platform:
 class Camera:
     """A camera with an OpenCV lens.
 
-    width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
-    pose : T_base_camera, OpenCV axes; shutter "global" or "rolling"; row_time : s, for a rolling one
+    name : as frames.csv has it; width, height : px; matrix : (3, 3) px, no skew; distortion : (4, 5, 8, 12 or 14,) OpenCV order
+    pose : T_base_camera, OpenCV axes; shutter : "global" or "rolling"; row_time : s, from one row of the image to the next, for a rolling one
     mount : "fixed", "moving" with a pose of its own in every frame, or "hand": the platform carries it, and pose is T_platform_camera
     source : what a run opens it by, for example "uvc:0", or None; see rig.cameras.KINDS
     """
@@ -234,8 +234,8 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square marker: id in its dictionary; side (m, outer side of the black border);
-    pose : T_body_marker, x right, y up, z out of the paper; margin (m): white paper beyond the border."""
+    """One square marker. id : in its target's dictionary; side : m, outer side of the black border; margin : m, white paper beyond the border;
+    pose : T_body_marker, x right, y up, z out of the paper"""
 
     id: int
     side: float
@@ -245,9 +245,10 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Target:
-    """Markers fixed to one body ("platform" or "base").
+    """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
-    A cube has edge, marker (m), faces (pairs of face and id) and pose : T_body_cube; any other target lists its markers.
+    name : its own; body : what it is fixed to; dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the
+    black border; faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
     """
 
     name: str
@@ -267,7 +268,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The whole rig.toml. gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
+    """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
     insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None."""
 
     name: str

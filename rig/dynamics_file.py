@@ -47,13 +47,17 @@ def load(path: Path | str) -> tuple[Design, ArmDynamics]:
     design = design_file.design_of(root)
     if not isinstance(design.mechanism, Arm):
         raise RigError(f"{path} has a mechanism of kind {design.mechanism.kind!r}; forces at the hand are for arms")
-    table, n = root.table("dynamics", optional=True), len(design.mechanism.axes)
+    return design, stated(root.table("dynamics", optional=True), len(design.mechanism.axes))
+
+
+def stated(table: Entries, n: int) -> ArmDynamics:
+    """ArmDynamics of the table [dynamics] of an arm of n joints. Raises FileError with line and column for figures that cannot be"""
     table.refuse_misspelt(KEYS)
     each = {name: table.each(name, n, None, above=0, most=STRONGEST) for name in KEYS if name not in ("links", "friction")}
     friction = table.array("friction", (n, 2), None)
     for i, j in np.argwhere(friction < 0) if friction is not None else ():
         table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))
-    return design, ArmDynamics(links=_links(table, n), friction=friction, **each)
+    return ArmDynamics(links=_links(table, n), friction=friction, **each)
 
 
 def _links(table: Entries, n: int) -> Links | None:

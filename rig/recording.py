@@ -13,6 +13,7 @@ from rig.entries import name_problem
 from rig.errors import FileError, RigError
 from rig.exposures import Exposures, Unreadable, load_exposures
 from rig.files import complete
+from rig.notebook import shown
 from rig.observed import Corners, Poses, load_corners, load_poses
 from rig.origin import Origin, decimal
 from rig.table import Table
@@ -68,6 +69,15 @@ class Recording:
     origin: Origin = Origin()
     skipped: tuple[Unreadable, ...] = ()
 
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        frames, t = self.exposures.times()
+        parts = [name for name, part in (("commands", self.commands), ("sensors", self.sensors), ("corners", self.corners), ("poses", self.poses))
+                 if part is not None] + (["images"] if self.has_images else [])
+        cameras = ", ".join(f"{c.name} ({c.width} x {c.height})" for c in self.design.cameras) or "none"
+        return shown(f"{self.folder.name}: {len(frames)} frames over {np.ptp(t):.4g} s", [
+            f"a {self.design.mechanism.kind}; cameras: {cameras}; {len(self.design.targets)} targets", f"it has {', '.join(parts) or 'nothing'}"])
+
     @property
     def has_images(self) -> bool:
         """Whether any exposure names an image."""
@@ -85,6 +95,11 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     """Recording of a folder. skip_unreadable : whether images that cannot be used are left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
+
+    >>> import rig
+    >>> recording = rig.load("tests/data/bench/check")
+    >>> recording.design.mechanism.kind, recording.commands.values.shape
+    ('hexapod', (12, 6))
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera, Design
+from rig.notebook import shown
 from rig.recording import Corners
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.robust import adjust_robustly, standing_error
@@ -50,6 +51,16 @@ class Measurement:
     weights: np.ndarray
     factor: float
     adjustment: Adjustment
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        total = len(self.frames) + len(self.unsolved)
+        position, rotation = (np.sqrt(np.mean(np.trace(self.covariance[:, part, part], axis1=1, axis2=2))) * 1e3
+                              for part in (slice(0, 3), slice(3, 6)))
+        missed = [f"frame {frame} has no pose: {reason}" for frame, reason in list(self.unsolved.items())[:5]]
+        return shown(f"{len(self.frames)} of {total} frames solved", [
+            f"poses to {position:.4f} mm and {rotation:.4f} mrad (standard uncertainty, RMS)",
+            f"corners scatter by {self.noise:.4f} px; {self.inliers.sum()} of {len(self.inliers)} used", *missed])
 
     @property
     def places_free(self) -> bool:

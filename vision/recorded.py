@@ -20,6 +20,23 @@ REFUSED = 0.05  # of the frames; where more show enough and are refused, the sta
 PLACES = ("auto", "stated", "free")
 
 
+def measured(recording: Recording, places: str = "auto", progress: Callable[[str, int, int], None] | None = None) -> Measurement:
+    """Measurement of a recording, as `rig measure` makes it: poses with covariance, cameras adjusted.
+
+    places : whether the markers' places on their bodies are adjusted too: "stated", "free", or "auto", where the stated ones contradict
+    what is seen; progress : called with (label, done, of), or None
+    Raises NotEnoughData for a recording with neither corners nor images
+
+    >>> import rig, vision
+    >>> found = vision.measured(rig.load("tests/data/bench/check"))
+    >>> len(found.frames), found.covariance.shape
+    (6, (6, 6, 6))
+    >>> found.noise < 0.1  # px, standard deviation of a corner
+    True
+    """
+    return measure_recording(recording, progress=progress, places=places)[0]
+
+
 def measure_recording(recording: Recording, free: Sequence[str] = ("poses", "lenses"), detect_anew: bool = False,
                       progress: Callable[[str, int, int], None] | None = None, places: str = "stated",
                       look: Callable[[Corners], None] | None = None) -> tuple[Measurement, Collected | None]:

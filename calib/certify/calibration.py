@@ -7,11 +7,13 @@ import numpy as np
 
 from calib.certify.claim import Claim
 from calib.certify.held_out import HeldOut
+from calib.certify.verdict import verdict
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.samples import Samples
 from calib.workspace.cells import Workspace
 from rig.errors import RigError
+from rig.notebook import shown
 from rig.recording import Recording
 
 
@@ -35,6 +37,15 @@ class Calibration:
     claim: Claim | None = None
     physics: Physics | None = None
     workspace: Workspace | None = None
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        held = self.held_out
+        rows = [] if held is None else [("held-out poses", "position RMS, mm", "95 %, mm", "max, mm", "rotation RMS, mrad"), *(
+            (name, *(f"{x * 1e3:.4f}" for x in figures.position), f"{figures.rotation[0] * 1e3:.4f}")
+            for name, figures in (("owner's model", held.before), ("corrected", held.after)))]
+        first, *rest = ["a calibration of before claims were made"] if self.claim is None else verdict(self.claim)
+        return shown(first, rest, rows)
 
     def told(self, recording: Recording, samples: Samples) -> Samples:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""

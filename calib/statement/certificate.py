@@ -19,6 +19,7 @@ from calib.pipeline import Sampled
 from calib.pose_covariance import pose_covariance
 from calib.statement.conditions import Conditions, Volume, conditions, volume
 from rig.errors import NotEnoughData
+from rig.notebook import shown
 from rig.recording import Recording
 
 QUANTITIES = ("position", "rotation")
@@ -57,6 +58,13 @@ class Certificate:
     before: Figures
     after: Figures
     provenance: dict[str, Any]
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        from calib.statement import words  # which stands on this
+
+        return shown(words.promise_line(self), [
+            words.scale_line(self), words.volume_line(self), *words.rest_lines(self), *words.conformity_lines(self)])
 
 
 def certified(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]], asked: Asked, provenance: dict[str, Any],

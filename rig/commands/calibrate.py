@@ -273,17 +273,8 @@ def _say_workspace(calibration: Calibration) -> None:
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
             known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     from calib import store
-    from calib.certify.calibration import Calibration
-    from calib.pose_covariance import with_workspace
+    from calib.from_recordings import kept
 
-    frames, found = sampled.samples.frame, done.found
-    physics, covariance = (None, found.covariance) if known is None else known
-    source = store.provenance(recording, argv, SEED, sampled.source == "images", sampled.files, sampled.data)
-    if before is not None:
-        source = store.after(source, *before)
-    calibration = Calibration(
-        done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics)
-    calibration = with_workspace(calibration)
+    calibration = kept(recording, sampled, done, claim, argv, known, before)
     store.save(out, calibration)
     return calibration

@@ -112,30 +112,11 @@ def run(arguments: Namespace) -> None:
 
 def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:
     """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what did."""
-    from calib import store
-    from calib.pipeline import sample_recording
+    from calib.from_recordings import held_out
     from rig import recording as recordings
-    from rig.provenance import flat, marks, shared
 
-    if not calibration.provenance.get("data"):
-        raise RigError(f"{arguments.calibration} does not say which data it was made from, so nothing can be shown to be held out; calibrate again")
     loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.recordings]
-    known: set[str] = set()
-    for path, recording in zip(arguments.recordings, loaded):
-        frames = len(recording.exposures.times()[0])
-        same = store.seen_before(calibration, recording)
-        if same:
-            raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {arguments.calibration}, "
-                           "themselves or what was measured from them; a certificate takes poses that did not")
-        if recording.design.mechanism.kind != calibration.correction.nominal.kind:
-            raise RigError(f"{path} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
-                           f"{calibration.correction.nominal.kind!r}")
-        of = marks(recording)
-        twice = shared(of, known)
-        if twice:
-            raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
-        known |= set(flat(of))
-    return [(recording, sample_recording(recording, progress=progress)) for recording in loaded]
+    return held_out(calibration, loaded, progress, str(arguments.calibration))
 
 
 def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> None:

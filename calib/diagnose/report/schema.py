@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import dataclass, field, fields, is_dataclass
+from html import unescape
 from pathlib import Path
 from typing import Any
 
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
 from rig.files import write_text
+from rig.notebook import shown
 
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
@@ -155,6 +157,13 @@ class Report:
     covariates: tuple[CovariateEntry, ...] = ()
     said: tuple[str, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        from calib.diagnose.report import words  # which stands on this
+
+        rows = [(words.title(f), words.size(f).removeprefix(", "), f.action or "") for f in self.findings]
+        return shown(unescape(words.verdict(self)), [], [("what", "size", "what to do"), *rows] if rows else [])
 
     @property
     def named(self) -> list[FindingEntry]:

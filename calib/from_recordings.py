@@ -1,0 +1,113 @@
+"""Recordings -> a calibration, a diagnosis, a certificate: what the commands and a notebook call alike."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from calib import store
+from calib.arms import certify as arm_certify
+from calib.certify import certificate
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import Certified
+from calib.certify.claim import Claim
+from calib.correct.physics import Physics
+from calib.diagnose.problems.arm.diagnose import diagnose as diagnose_arm
+from calib.diagnose.problems.platform.diagnose import diagnose as diagnose_platform
+from calib.diagnose.report import arm as arm_report
+from calib.diagnose.report import platform as platform_report
+from calib.diagnose.report.schema import Report
+from calib.pipeline import Sampled, sample_recording
+from calib.pose_covariance import with_workspace
+from calib.statement import certificate as statement
+from calib.statement.certificate import Asked, Certificate
+from rig.errors import RigError
+from rig.kinds import arm_of, struts_of
+from rig.provenance import flat, marks, shared
+from rig.recording import Recording
+
+SEED = 0  # of draws; results are the same from run to run
+Progress = Callable[[str, int, int], None]
+
+
+def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
+    """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what both are worth elsewhere.
+
+    progress : called with (label, done, of), or None
+    Raises RigError without commands, NotEnoughData without poses, NotConverged where no geometry agrees with them
+    """
+    rng = np.random.default_rng(SEED)
+    with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the result is the same for any number
+        sampled = sample_recording(recording, progress=progress)
+        if recording.design.mechanism.kind == "arm":
+            found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
+            return kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
+        done = certificate.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
+        return kept(recording, sampled, done, certificate.promised(sampled.samples, done, rng))
+
+
+def kept(recording: Recording, sampled: Sampled, done: Certified | arm_certify.Certified, claim: Claim, arguments: Sequence[str] = (),
+         known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+    """Calibration of what was found, with where it came from and what it does to the workspace.
+
+    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
+    """
+    frames, found = sampled.samples.frame, done.found
+    physics, covariance = (None, found.covariance) if known is None else known
+    source = store.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
+    if before is not None:
+        source = store.after(source, *before)
+    return with_workspace(Calibration(
+        done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
+        done.held_out, source, claim, physics))
+
+
+def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:
+    """Report of what physics a recording's model leaves out, as `rig diagnose` finds it.
+
+    only, without : names of effects (or "EFFECT PLACE") that alone are asked for, or left out
+    Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
+    """
+    asked = None if only is None else list(only)
+    if recording.design.mechanism.kind == "arm":
+        return arm_report.report(diagnose_arm(recording, asked, tuple(without), progress))
+    return platform_report.report(diagnose_platform(recording, asked, tuple(without), progress))
+
+
+def certified(calibration: Calibration, recordings: Sequence[Recording], asked: Asked | None = None, progress: Progress | None = None) -> Certificate:
+    """Certificate of a Calibration by recordings that it was not made from, as `rig certify` states it. asked : what of, 95 % with 95 % by default
+
+    Raises RigError for a recording that took part in fitting, NotEnoughData where these have too few configurations
+    """
+    held = held_out(calibration, recordings, progress)
+    made = calibration.provenance
+    source = {"calibration": {"recording": made.get("recording"), "created": made.get("created")}, "versions": store.versions(), "seed": SEED,
+              "recordings": [recording.folder.resolve().name for recording in recordings]}
+    return statement.certified(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
+
+
+def held_out(calibration: Calibration, recordings: Sequence[Recording], progress: Progress | None = None,
+             named: str = "the calibration") -> list[tuple[Recording, Sampled]]:
+    """[(Recording, Sampled)], none of whose data took part in fitting a calibration or is there twice. named : the calibration, in words
+
+    Raises RigError naming what did
+    """
+    if not calibration.provenance.get("data"):
+        raise RigError(f"{named} does not say which data it was made from, so nothing can be shown to be held out; calibrate again")
+    known: set[str] = set()
+    for recording in recordings:
+        path, frames = recording.folder, len(recording.exposures.times()[0])
+        same = store.seen_before(calibration, recording)
+        if same:
+            raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
+                           "themselves or what was measured from them; a certificate takes poses that did not")
+        if recording.design.mechanism.kind != calibration.correction.nominal.kind:
+            raise RigError(f"{path} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
+                           f"{calibration.correction.nominal.kind!r}")
+        of = marks(recording)
+        twice = shared(of, known)
+        if twice:
+            raise RigError(f"{path}: {len(twice)} of {frames} frames are in another of the recordings; the same pose does not count twice")
+        known |= set(flat(of))
+    return [(recording, sample_recording(recording, progress=progress)) for recording in recordings]

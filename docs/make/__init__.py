@@ -1,0 +1,1 @@
+"""Pages of the documents that are made from the code, and what turns all of them into a site."""

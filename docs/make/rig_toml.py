@@ -1,0 +1,197 @@
+"""docs/rig-toml.md out of the reader itself: what it asks of every table is written down while it reads rigs that state everything.
+
+`python -m docs.make.rig_toml > docs/rig-toml.md`
+"""
+
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from docs.make.told import fields_told, headline
+from rig import design_file, dynamics_file, layout, layout_planar, shelf
+from rig.controller import Controller
+from rig.design import (Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Planar2, Platform, Sensor, SensorPort,
+                        Target)
+from rig.dynamics_file import ArmDynamics
+from rig.entries import REQUIRED, Entries, Key
+from rig.toml_positions import positions
+
+HEAD = """# rig.toml, table by table
+
+Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in seconds; a rotation is a
+rotation vector. A key that the reader does not know is left alone, unless it is one slip away from one that it knows: then that is an
+error. `rig design` writes a file to begin with; [conventions](conventions.md) say how frames, faces and corners are meant.
+
+`schema = "rig/1"` stands first.
+"""
+TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of it)
+    "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
+    "[mechanism] kind = \"hexapod\"": (Hexapod, ""), "[mechanism] kind = \"planar2\"": (Planar2, ""),
+    "[mechanism] kind = \"arm\"": (Arm, ""),
+    "[mechanism] kind = \"free\"": (None, "Moved by hand or by somebody else: there is nothing to command, and nothing else to state."),
+    "[[camera]]": (Camera, "One for each camera."), "[[target]]": (Target, "One for each cube, or other body with markers."),
+    "[target.faces]": (None, "Of a cube: which marker is on which face, `\"+x\" = 3`. Faces that are not stated carry none."),
+    "[[target.marker]]": (Marker, "In place of `edge`, `marker`, `faces` and `pose`, for a target that is no cube: each marker by itself."),
+    "[platform]": (Platform, "May be left out."), "[actuator]": (Actuator, "May be left out."),
+    "[instrument]": (Instrument, "Only where poses.csv comes from an outside instrument (a laser tracker, a coordinate measuring machine)."),
+    "[controller]": (Controller, "Only where `rig run` and the like drive the machine; [controllers](controllers.md) say more."),
+    "[sensors]": (SensorPort, "Only where a run reads thermometers or measuring limbs; [operating](operating.md) says more."),
+    "[insitu]": (MeasuringLimbs, "Only where there are measuring limbs; [measuring](measuring.md) says more."),
+    "[dynamics]": (ArmDynamics, "Of arms, only where forces at the hand are asked for; [forces](force.md) say more."),
+    "[sensor]": (Sensor, "What simulated cameras do to light; real ones need none of it."),
+}
+
+
+@dataclass
+class Asked:
+    """What was asked of one key. takes : in words; default : None where it is required"""
+
+    takes: str
+    default: str | None
+    limits: str = ""
+
+
+@dataclass
+class Log(Entries):
+    """Entries that write down what they are asked, by table and key."""
+
+    found: dict[tuple[str, Key], Asked] = field(default_factory=dict)
+
+    def _note(self, key: Key, takes: str, default: Any, limits: str = "") -> None:
+        at = (self._heading(), key)
+        if at not in self.found:
+            self.found[at] = Asked(takes, None if default is REQUIRED else _shown(default), limits)
+
+    def _heading(self) -> str:
+        names = [str(part) for part in self.path if not isinstance(part, int)]
+        if names in ([], ["environment"]):
+            return "name and [environment]"
+        if names == ["mechanism"]:
+            return f'[mechanism] kind = "{self.tree["kind"]}"'
+        dotted = ".".join(names)
+        return f"[[{dotted}]]" if isinstance(self.path[-1], int) else f"[{dotted}]"
+
+    def _inner(self, plain: Entries) -> "Log":
+        return Log(plain.tree, plain.path, plain.file, plain.places, self.found)
+
+    def table(self, key: Key, optional: bool = False) -> Entries:
+        return self._inner(super().table(key, optional))
+
+    def tables(self, key: Key) -> list[Entries]:
+        return [self._inner(plain) for plain in super().tables(key)]
+
+    def get(self, key: Key, default: Any = REQUIRED) -> Any:
+        self._note(key, KINDS_OF_GET.get(str(key), "list"), default)
+        return super().get(key, default)
+
+    def text(self, key: Key, choices: Any = None, default: Any = REQUIRED) -> Any:
+        self._note(key, "one of " + ", ".join(f"`{c}`" for c in choices) if choices and len(choices) < 9 else "text", default)
+        return super().text(key, choices, default)
+
+    def whole(self, key: Key, least: int, default: Any = REQUIRED, most: int = 1 << 53) -> int:
+        self._note(key, "whole number", default, f"from {least}" + (f" to {most}" if most < 1 << 53 else ""))
+        return super().whole(key, least, default, most)
+
+    def number(self, key: Key, default: Any = REQUIRED, least: float | None = None, most: float | None = None, above: float | None = None,
+               unit: str = "", nulls: bool = False) -> Any:
+        self._note(key, "number", default, _limits(least, most, above, unit))
+        return super().number(key, default, least, most, above, unit, nulls)
+
+    def each(self, key: Key, count: int, default: Any = REQUIRED, **limits: Any) -> Any:
+        within = _limits(*(limits.get(name) for name in ("least", "most", "above")), limits.get("unit", ""))
+        self._note(key, "number, or one for each axis", default, within)
+        return super().each(key, count, default, **limits)
+
+    def array(self, key: Key, shape: Any, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
+        if str(self.tree.get("kind")) == "arm":
+            shape = (None, *shape[1:])
+        self._note(key, "x".join("n" if n is None else str(n) for n in shape) + " numbers", default,
+                   f"none beyond {length_limit:g} m" if length_limit else "")
+        return super().array(key, shape, default, length_limit, nulls)
+
+    def pose(self, key: Key) -> Any:
+        self._note(key, "{position = [x, y, z], rotvec = [rx, ry, rz]}, m and rad", REQUIRED)
+        return Entries.pose(Entries(self.tree, self.path, self.file, self.places), key)
+
+
+HANGS_ON_ANOTHER = {("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter", ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
+                    ("[[target.marker]]", "margin"): "an eighth of `side`"}
+KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "channels": "list of names",
+                "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`"}
+
+
+def _shown(value: Any) -> str:
+    if value is None or (isinstance(value, str | list) and not value):
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _limits(least: float | None, most: float | None, above: float | None, unit: str) -> str:
+    words = [f"above {above:g}" if above is not None else "", f"from {least:g}" if least is not None else "",
+             f"to {most:g}" if most is not None else ""]
+    return " ".join(filter(None, [*words, unit.split(" (")[0]]))
+
+
+def samples() -> list[dict[str, Any]]:
+    """Rigs as tables, which between them state everything that the reader asks for."""
+    whole = tomllib.loads(layout.layout(0.3, cameras=1, cubes=1, limbs=True))
+    whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
+    whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
+    whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
+    whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
+    whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
+    listed = tomllib.loads(layout_planar.layout(0.3, cameras=1, cubes=1))
+    marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
+    listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
+    arms = [tomllib.loads(shelf.design(name)) for name in shelf.names()]
+    return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
+
+
+def asked() -> dict[tuple[str, Key], Asked]:
+    """What the reader asks of each key of each table, in the order in which it asks."""
+    found: dict[tuple[str, Key], Asked] = {}
+    for tree in samples():
+        text = tomlkit.dumps({key: value for key, value in tree.items() if value is not None})
+        root = Log(tomllib.loads(text), (), Path("rig.toml"), positions(text), found)
+        mechanism = design_file.design_of(root).mechanism
+        if isinstance(mechanism, Arm):
+            dynamics_file.stated(root.table("dynamics", optional=True), len(mechanism.axes))
+    return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS}
+
+
+TABLE_KEYS = ("schema", "environment", "mechanism", "camera", "target", "platform", "actuator", "instrument", "controller", "sensors", "insitu",
+              "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
+
+
+def page() -> str:
+    """The page in Markdown."""
+    found = asked()
+    parts = [HEAD]
+    for heading, (kind, words) in TABLES.items():
+        about = "" if kind is None else headline(kind)
+        parts.append(f"\n## {heading}\n\n" + " ".join(filter(None, [about if kind is not Design else "", words])) + "\n")
+        told = {} if kind is None else fields_told(kind)
+        rows = [_row(at, what, told) for at, what in found.items() if at[0] == heading]
+        if rows:
+            parts.append("\n| key | takes | if left out | what |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
+    whole = _indented(layout.layout(0.3, cameras=1, cubes=1))
+    return "".join(parts) + f"\n## A whole one\n\nAs `rig design --radius 0.3 --cameras 1 --cubes 1` writes it:\n\n{whole}"
+
+
+def _row(at: tuple[str, Key], what: Asked, told: dict[str, str]) -> str:
+    limits = f" ({what.limits})" if what.limits else ""
+    default = HANGS_ON_ANOTHER.get((at[0], str(at[1])), "**required**" if what.default is None else f"`{what.default}`")
+    return f"| `{at[1]}` | {what.takes}{limits} | {default} | {told.get(str(at[1]), '')} |"
+
+
+def _indented(text: str) -> str:
+    return "".join(f"    {line}\n" if line else "\n" for line in text.splitlines())
+
+
+if __name__ == "__main__":
+    print(page(), end="")

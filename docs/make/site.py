@@ -1,0 +1,38 @@
+"""MkDocs hooks: pages made from the code join those that are written, and formulae become MathML, which browsers show by themselves."""
+
+import html
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[2]
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+TAG = re.compile(r"\\tag\{(\w+)\}")
+sys.path[:0] = [str(ROOT)]  # the pages are made from this tree
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages that are made from the code."""
+    from docs.make import api, commands, messages
+
+    for name, page in (("commands.md", commands.page), ("troubleshooting.md", messages.page), ("api.md", api.page)):
+        files.append(File.generated(config, name, content=page()))
+    return files
+
+
+def on_page_content(text: str, **_: Any) -> str:
+    """Formulae of a page's HTML as MathML, numbered ones with their number beside."""
+    return FORMULA.sub(_formula, text)
+
+
+def _formula(found: re.Match) -> str:
+    block, latex = found[2] == "[", html.unescape(found[3])
+    number = TAG.search(latex)
+    made = convert(TAG.sub("", latex).strip(), display="block" if block else "inline")
+    if not block:
+        return made
+    return f'<div class="formula" role="math">{made}' + (f'<span class="number">({number[1]})</span>' if number else "") + "</div>"

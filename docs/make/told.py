@@ -1,0 +1,27 @@
+"""What a dataclass says of its fields: the lines "name, name : words; name : words" of its docstring."""
+
+import inspect
+import re
+
+_NAMES = re.compile(r"(?:^|[;.] |;?\n)[ ]*((?:[a-z_]\w*, )*[a-z_]\w*) : ")
+
+
+def fields_told(kind: type) -> dict[str, str]:
+    """{field: what the docstring says of it}, in one line each."""
+    text = inspect.cleandoc(kind.__doc__ or "")
+    parts = _NAMES.split(text)
+    told = {}
+    for names, words in zip(parts[1::2], parts[2::2]):
+        for name in names.split(", "):
+            told[name] = one_line(words)
+    return told
+
+
+def one_line(text: str) -> str:
+    """Text with its line breaks and what breaks a table taken out."""
+    return " ".join(text.split()).rstrip(".;").replace("|", "\\|")
+
+
+def headline(kind: type) -> str:
+    """What a docstring says before it comes to the fields."""
+    return " ".join(_NAMES.split(inspect.cleandoc(kind.__doc__ or "").split("\n\n")[0])[0].split()).rstrip(".;") + "."

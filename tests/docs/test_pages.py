@@ -1,0 +1,142 @@
+"""The pages hold to the code: references are whole and current, every command in them is one, the site builds and needs no network."""
+
+import argparse
+import ast
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from docs.make import commands, messages, rig_toml, tables
+from rig.cli import COMMANDS
+from rig.errors import FileError
+from rig.recording import load
+from tests.docs import told
+
+ROOT = told.ROOT
+SAID = [m for m in messages.messages() if m.kind == "FileError" and len(m.words) > 20]
+READERS = ("text", "number", "whole", "array", "pose", "each", "identifier", "get", "flag")
+
+
+def test_rig_toml_is_current():
+    assert (ROOT / "docs" / "rig-toml.md").read_text(encoding="utf-8") == rig_toml.page(), "python -m docs.make.rig_toml > docs/rig-toml.md"
+
+
+def test_tables_are_current():
+    assert (ROOT / "docs" / "tables.md").read_text(encoding="utf-8") == tables.page(), "python -m docs.make.tables > docs/tables.md"
+
+
+def keys_read() -> set[str]:
+    """Keys that stand as words in the reader's own calls."""
+    found = set()
+    for name in ("design_file.py", "arm_entries.py", "camera_entries.py", "dynamics_file.py"):
+        for node in ast.walk(ast.parse((ROOT / "rig" / name).read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READERS and node.args \
+                    and isinstance(node.args[0], ast.Constant):
+                found.add(node.args[0].value)
+    return found - {"schema", "kind"}
+
+
+def test_every_key_that_the_reader_names_is_on_the_page_and_told():
+    rows = dict(re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", rig_toml.page(), re.MULTILINE))
+    assert len(keys_read()) > 50 and keys_read() - set(rows) == set()
+    assert [key for key, words in rows.items() if not words] == []
+
+
+def test_every_file_of_a_recording_is_on_the_page():
+    assert {part for part in re.findall(r'"(\w+\.csv)"', (ROOT / "rig" / "recording.py").read_text())} == set(tables.asked())
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(FileError) as refused:
+        load(folder)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("file, header, row", [
+    ("commands.csv", "t,l1", "0,0.4"), ("commands.csv", "t,l1,l2,l3,l4,l5,l6", "0,0.4,0.4,0.4,0.4,0.4,0.4"),
+    ("frames.csv", "frame,t,camera", "0,0,cam0"),
+    ("frames.csv", "frame,t,camera,image", "0,1,nobody,"), ("corners.csv", "frame,camera,marker,corner,u,v", "0,cam0,999,0,1,1")])
+def test_a_message_that_is_met_is_found_on_the_page(tmp_path, file, header, row):
+    folder = tmp_path / "rec"
+    shutil.copytree(ROOT / "tests" / "data" / "bench" / "check", folder)
+    (folder / file).write_text(f"{header}\n{row}\n")
+    met = refusal(folder)
+    on_the_page = [m.words for m in SAID if all(part in met for part in m.words.split(".."))]
+    assert on_the_page, met
+
+
+def test_every_kind_of_error_and_every_mistake_is_told():
+    assert set(messages.ADVICE) == set(messages.error_kinds())
+    said = list(messages.messages())
+    assert len(said) > 300 and {m.kind for m in said} <= set(messages.ADVICE)
+    assert len(set(messages.mistakes())) > 40 and all(m.do for m in messages.mistakes())
+
+
+def parsed(words: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    importlib.import_module(f"rig.commands.{words[0]}").arguments(parser)
+    return parser.parse_args(words[1:])
+
+
+@pytest.mark.parametrize("page", told.PAGES, ids=lambda path: path.name)
+def test_every_command_in_the_pages_is_one(page, capsys):
+    wrong = []
+    for command in told.commands(page):
+        try:
+            parsed(told.words(command))
+        except (argparse.ArgumentError, SystemExit, ModuleNotFoundError) as error:
+            wrong.append(f"{command}: {error} {capsys.readouterr().err}")
+    assert wrong == []
+
+
+def test_pages_tell_enough_commands_for_that_to_mean_something():
+    assert sum(len(told.commands(page)) for page in told.PAGES) > 60
+
+
+def test_all_commands_are_on_the_page_of_commands():
+    page = commands.page()
+    assert [name for name in COMMANDS if f"\n## rig {name}\n" not in page] == []
+
+
+class Loads(HTMLParser):
+    """from_elsewhere : what a page would fetch from another host"""
+
+    def __init__(self):
+        super().__init__()
+        self.from_elsewhere = []
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        place = given.get("src") or (given.get("href") if tag == "link" and given.get("rel") != "canonical" else None) or ""
+        if re.match(r"(https?:)?//", place):
+            self.from_elsewhere.append(place)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run([sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", folder], cwd=ROOT, capture_output=True,
+                          text=True, env={"NO_MKDOCS_2_WARNING": "1", "PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_the_site_builds_with_no_broken_link_and_loads_nothing_from_elsewhere(site):
+    pages = list(site.glob("*.html"))
+    assert {"index.html", "commands.html", "troubleshooting.html", "api.html", "rig-toml.html"} <= {page.name for page in pages}
+    for page in pages:
+        loads = Loads()
+        loads.feed(page.read_text(encoding="utf-8"))
+        assert loads.from_elsewhere == [], page.name
+    assert not re.search(r"url\((https?:)?//", "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css")))
+
+
+def test_formulae_are_drawn_by_the_browser_itself(site):
+    text = (site / "mathematics.html").read_text(encoding="utf-8")
+    assert text.count("<math") > 50 and "arithmatex" not in text and '<span class="number">(12)</span>' in text
