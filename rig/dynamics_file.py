@@ -20,8 +20,9 @@ KEYS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction"
 class ArmDynamics:
     """What is stated of an arm of n joints; None where it is not.
 
-    links : Links; torque_limits : (n,) N m, of slides N; torque_constants : (n,) N m at the joint per A of its motor; friction : (n, 2) N m
-    (Coulomb) and N m s/rad (viscous); torque_sigma : (n,) N m, angle_sigma : (n,) rad or m, speed_sigma : (n,) per s, of one reading
+    links : Links, rows of mass (kg), centre x y z (m), inertia xx yy zz xy xz yz (kg m^2); torque_limits : (n,) N m, of slides N
+    torque_constants : (n,) N m at the joint per A of its motor; friction : (n, 2) N m (Coulomb) and N m s/rad (viscous)
+    torque_sigma : (n,) N m, of one reading; angle_sigma : (n,) rad or m, of one; speed_sigma : (n,) rad/s or m/s, of one
     """
 
     links: Links | None

@@ -106,7 +106,7 @@ class Log(Entries):
         return super().each(key, count, default, **limits)
 
     def array(self, key: Key, shape: Any, default: Any = REQUIRED, length_limit: float | None = None, nulls: bool = False) -> Any:
-        if str(self.tree.get("kind")) == "arm":
+        if str(self.tree.get("kind")) == "arm" or self.path == ("dynamics",):
             shape = (None, *shape[1:])
         self._note(key, "x".join("n" if n is None else str(n) for n in shape) + " numbers", default,
                    f"none beyond {length_limit:g} m" if length_limit else "")
