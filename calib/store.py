@@ -113,7 +113,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}), "provenance": calibration.provenance,
     }
@@ -261,12 +261,3 @@ def _provenance_in(tree: Entries) -> dict[str, Any]:
     if "data" in table.tree:
         table.texts("data")
     return table.tree
-
-
-def nulls(tree: Any) -> Any:
-    """The same with null for figures of what was not measured: JSON has no NaN."""
-    if isinstance(tree, dict):
-        return {name: nulls(value) for name, value in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [nulls(value) for value in tree]
-    return None if isinstance(tree, float) and not np.isfinite(tree) else tree

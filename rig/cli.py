@@ -7,11 +7,12 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
+from rig.commands.usage import Parser, add_common
 from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
@@ -20,6 +21,7 @@ WRITTEN = ("out", "truth", "state", "draw")  # arguments that name what is writt
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
+    "new": "A rig.toml by four questions, or by options where nobody can be asked.",
     "check": "All that is wrong or unlikely with a recording, at once, with what to do.",
     "import": "A recording out of what you have: folders of images, tables in any dialect, units and clocks; and a recipe of it.",
     "measure": "Images or corners of a recording -> platform poses with covariance, cameras adjusted.",
@@ -49,6 +51,9 @@ COMMANDS = {
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
+    "effects": "The left-out physics that is known: where it sits, its parameters, what exposes it, what to do.",
+    "doctor": "What this computer has of what rig needs: packages, OpenGL, cameras, ports, space, threads.",
+    "completion": "What makes bash, zsh or fish complete rig's commands and options.",
 }
 
 
@@ -58,18 +63,11 @@ def main(argv: list[str] | None = None) -> int:
     Raises SystemExit where help was asked for or the usage is wrong
     """
     argv = sys.argv[1:] if argv is None else list(argv)
-    parser = _Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts.",
-                     epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
-                            "SI units and radians throughout.")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     chosen = next((word for word in argv if not word.startswith("-")), None)
-    for name, text in COMMANDS.items():
-        sub = commands.add_parser(name, help=text, description=text)
-        if name == chosen:  # the others' arguments do not matter, so their files stay shut
-            module = importlib.import_module(f"rig.commands.{name}")
-            module.arguments(sub)
-            sub.set_defaults(run=module.run)
+    parser = command_line([chosen] if chosen else [], tuple(argv))
     try:
+        if chosen is not None and chosen not in COMMANDS:
+            parser.unknown(chosen, COMMANDS)
         arguments = parser.parse_args(argv)
         if arguments.command is None:
             parser.print_help()
@@ -78,8 +76,27 @@ def main(argv: list[str] | None = None) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv = argv
+    arguments.argv, arguments.whole = argv, lambda: command_line(COMMANDS)
     return _run(arguments)
+
+
+def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser:
+    """The parser of the command line. opened : commands of which it knows the arguments too; words : what it will be given"""
+    parser = Parser(prog="rig", description="Vision-measured calibration of robots that move a platform on struts, and of arms.",
+                    epilog="A recording is a folder with rig.toml, frames.csv, commands.csv and images or corners.csv; "
+                           "SI units and radians throughout.")
+    parser.words = words
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, text in COMMANDS.items():
+        sub = commands.add_parser(name, help=text, description=text)
+        if name in opened:  # the others' arguments do not matter, so their files stay shut
+            module = importlib.import_module(f"rig.commands.{name.replace('-', '_')}")
+            module.arguments(sub)
+            add_common(sub, name)
+            sub.set_defaults(run=module.run)
+            parser.command, sub.words = sub, words
+    return parser
 
 
 def script() -> NoReturn:
@@ -90,10 +107,13 @@ def script() -> NoReturn:
     sys.exit(status)
 
 
-class _Parser(argparse.ArgumentParser):
-    def print_help(self, file: Any = None) -> None:
-        """Print the help; unlike argparse's own this raises OSError where it cannot."""
-        print(self.format_help(), end="", file=file)
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the version, which is read only where it is asked for, and end."""
+        from importlib.metadata import version
+
+        print(f"rig {version('rig')}")
+        parser.exit()
 
 
 class Ended(KeyboardInterrupt):
@@ -106,11 +126,10 @@ class Ended(KeyboardInterrupt):
 def _run(arguments: argparse.Namespace) -> int:
     """The exit status of a command; what it has written is in its place before this returns."""
     name = f"rig {arguments.command}"
-    to_stdout = getattr(arguments, "out", None) == STANDARD_OUTPUT
     try:
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
             arguments.outputs = outputs
-            with redirect_stdout(sys.stderr) if to_stdout else nullcontext():
+            with _words(arguments):
                 status = arguments.run(arguments) or 0
         return _flushed(name, status)
     except RigError as error:
@@ -129,6 +148,23 @@ def _run(arguments: argparse.Namespace) -> int:
         return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
     except KeyboardInterrupt:
         return _failed(f"{name}: interrupted", 130)
+
+
+@contextmanager
+def _words(arguments: argparse.Namespace) -> Iterator[None]:
+    """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for."""
+    from rig.commands.progress_shown import Progress
+
+    Progress.shown = getattr(arguments, "progress", "auto")
+    out, results = getattr(arguments, "out", ""), getattr(arguments, "json", False)
+    if getattr(arguments, "quiet", False):
+        Progress.shown = "none"
+        if out is not None and not results:  # without --out the result itself is printed
+            with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+                yield
+            return
+    with redirect_stdout(sys.stderr) if out == STANDARD_OUTPUT else nullcontext():
+        yield
 
 
 def _read(arguments: argparse.Namespace) -> list[Path]:

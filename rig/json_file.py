@@ -1,11 +1,17 @@
 """A JSON file of ours -> Entries that check what they hand out; every complaint names the file and the key."""
 
-import json
-from pathlib import Path
+from __future__ import annotations
 
-from rig.entries import Entries
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 from rig.errors import FileError
 from rig.outside import read_text, shown
+
+if TYPE_CHECKING:
+    from rig.entries import Entries
 
 LARGEST = 1 << 26  # bytes
 
@@ -15,6 +21,8 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
 
     Raises FileError for a file that is missing, cut off, no JSON, nested too deep or of another schema
     """
+    from rig.entries import Entries
+
     path = Path(path)
     text = read_text(path, LARGEST)
     try:
@@ -31,3 +39,12 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
         known = " or ".join(f'"{schema}"' for schema in schemas)
         raise FileError(path, f'is no {what}: its schema is {shown(tree.get("schema"))}, not {known}')
     return Entries(tree, (), path, {(): (None, None)})
+
+
+def nulls(tree: Any) -> Any:
+    """The same with null for figures of what was not measured: JSON has no NaN."""
+    if isinstance(tree, dict):
+        return {name: nulls(value) for name, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [nulls(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree

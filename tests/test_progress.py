@@ -3,7 +3,7 @@
 import io
 import time
 
-from rig.commands.output import Progress
+from rig.commands.progress_shown import Progress
 
 
 class Terminal(io.StringIO):

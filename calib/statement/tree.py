@@ -9,7 +9,7 @@ from calib.certify.held_out import Figures
 from calib.certify.promise import Promise
 from calib.statement import words
 from calib.statement.certificate import Certificate
-from calib.store import nulls
+from rig.json_file import nulls
 
 SCHEMA = "certificate/1"
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from rig.commands import checking, extending, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
 from rig.errors import RigError
-from rig.kinds import arm_of, hexapod_of, struts_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from calib.diagnose.taken import Findings, Taken
     from calib.pipeline import Sampled
     from calib.store import Calibration
-    from rig.recording import Recording
+    from rig.recording import Corners, Recording
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -45,18 +44,22 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
+    progress = Progress()
+    progress("reading the recording", 0, 1)
+    recording, look = checking.begin(arguments)
+
     from threadpoolctl import threadpool_limits
 
     import calib.pipeline  # noqa: F401  libraries are limited once they are loaded
 
     with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the file is the same for any number
-        _calibrate(arguments)
+        _calibrate(arguments, recording, look, progress)
 
 
-def _calibrate(arguments: Namespace) -> None:
-    progress = Progress()
-    progress("reading the recording", 0, 1)
-    recording, look = checking.begin(arguments)
+def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corners], None], progress: Progress) -> None:
+    """Calibrate what was read. look : judges the corners once they are known"""
+    from rig.kinds import struts_of
+
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
     nominal = recording.design.mechanism
@@ -123,6 +126,7 @@ def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None]
              joint: bool, taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised
     from calib.report import calibration_page
+    from rig.kinds import hexapod_of, struts_of
 
     if joint:
         hexapod_of(recording.design.mechanism)
@@ -153,6 +157,7 @@ def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | Non
     from calib.certify.extended import Asked, certify_extended, promised_alone
     from calib.correct.extend import single_step_misses
     from calib.report import calibration_page
+    from rig.kinds import struts_of
 
     samples, nominal = sampled.samples, struts_of(recording.design.mechanism)
     before = _before(arguments.onto, nominal) if arguments.onto else None
@@ -216,6 +221,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
          progress: Progress) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
+    from rig.kinds import arm_of
 
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)

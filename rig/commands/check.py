@@ -1,10 +1,12 @@
 """rig check REC."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import checking
+from rig.commands.output import add_json, print_json
 from rig.errors import FileError
 from rig.mistakes.mistake import Mistake, in_order
 
@@ -18,6 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("recording", metavar="REC", type=Path)
     parser.add_argument("--detect", action="store_true", help="read some images even if corners.csv is there, and hold both against each other")
+    add_json(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -29,10 +32,11 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         recording = recordings.load(arguments.recording)
     except FileError as error:
-        return _say((*unreadable(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")))
+        return _say(arguments, (*unreadable(arguments.recording, error), Mistake(str(error), "Mend this first: nothing else could be looked at")))
     found = [*early(recording)]
     if any(one.spoils and one.proof >= CERTAIN for one in found):
-        return _say(in_order([*found, Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)]))
+        rest = Mistake("corners and poses were not looked at", "Mend what is wrong first and check again", False, 0.0)
+        return _say(arguments, in_order([*found, rest]))
     found += checking.of_poses(recording)
     corners = recording.corners
     if recording.has_images and (corners is None or arguments.detect):
@@ -43,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         corners = corners or seen
     if corners is not None:
         found += _looked(recording, corners)
-    return _say(in_order(found))
+    return _say(arguments, in_order(found))
 
 
 def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
@@ -52,9 +56,13 @@ def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
     return look(recording, corners, thorough=True)
 
 
-def _say(found: tuple[Mistake, ...]) -> int:
+def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...]) -> int:
+    spoilt = any(one.spoils for one in found)
+    if arguments.json:
+        print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found]})
+        return int(spoilt)
     for one in found:
         print(f"{'wrong' if one.spoils else 'unlikely'}: {one}")
     if not found:
         print("nothing wrong or unlikely was found")
-    return int(any(one.spoils for one in found))
+    return int(spoilt)

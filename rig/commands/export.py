@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError
-from rig.kinds import Mechanism, arm_of, hexapod_of
 
 if TYPE_CHECKING:
     from rig.design import Arm, Free, Hexapod, Planar2
+    from rig.kinds import Mechanism
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
@@ -36,6 +36,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
+    from rig.kinds import arm_of, hexapod_of
+
     if arguments.format in TABLES:
         _tables(arguments)
         return
@@ -125,4 +127,6 @@ def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], flo
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:
     """The mechanism, which has a geometry that can be written."""
+    from rig.kinds import arm_of, hexapod_of
+
     return arm_of(mechanism) if mechanism.kind == "arm" else hexapod_of(mechanism)

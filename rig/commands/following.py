@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import Progress, print_unsolved
 from rig.errors import RigError
-from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,6 +51,7 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     from calib.identify.geometry import parameters
     from calib.online import learner_file
     from rig.commands.online import fresh_of, not_learnt
+    from rig.kinds import hexapod_of
     from rig.provenance import flat, marks
 
     refuse_settings(arguments)
@@ -82,6 +82,7 @@ def _learner(arguments: Namespace, recording: Recording, calibration: Calibratio
     """The Learner of a state that is there, else a new one. Raises RigError where the two do not go together."""
     from calib.online import learner_file
     from calib.online.learners import LEARNERS
+    from rig.kinds import hexapod_of
 
     kind, chosen = LEARNERS[arguments.learner], getattr(arguments, SETTINGS[arguments.learner])
     if arguments.state is not None and arguments.state.exists():

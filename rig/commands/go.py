@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_port
 from rig.errors import RigError
-from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -35,6 +34,8 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
+    from rig.kinds import hexapod_of
+
     import numpy as np
 
     from calib import store

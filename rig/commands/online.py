@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from rig.commands import following, from_limbs
 from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
 from rig.errors import RigError
-from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,6 +71,7 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
 
     from calib.identify.geometry import parameters
     from calib.online.filter import Online
+    from rig.kinds import hexapod_of
     from rig.provenance import flat, marks
 
     of, mechanism = marks(recording), hexapod_of(recording.design.mechanism)

@@ -1,14 +1,13 @@
-"""What the commands share: where results go, bars on a terminal, and figures in mm and mrad."""
+"""What the commands share: where results go, and figures in mm and mrad."""
 
 from __future__ import annotations
 
 import sys
-import threading
-import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from rig.commands.progress_shown import Progress
 from rig.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -16,46 +15,10 @@ if TYPE_CHECKING:
     from rig.recording import Recording
     from vision.measure import Measurement
 
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "file_or_stdout", "length", "print_comparison",
+           "print_json", "print_unsolved", "read_recording"]
+
 SEED = 0  # of the bootstrap; results are the same from run to run
-
-
-class Progress:
-    """Bars on a terminal, nothing in a pipe and nothing in the first second: called with (label, done, of)."""
-
-    def __init__(self, silent: float = 1.0) -> None:
-        """silent : s, from now, in which nothing is shown: who is quick needs no bar"""
-        self.bar: Any = None
-        self.label: str | None = None
-        self.timer: threading.Timer | None = None
-        self.from_then = time.monotonic() + silent
-
-    def __call__(self, label: str, done: int, of: int) -> None:
-        from tqdm import tqdm
-
-        if label != self.label:
-            self.close()
-            wait = max(self.from_then - time.monotonic(), 0.0)
-            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=sys.stderr, delay=wait), label
-            if wait and not self.bar.disable:  # a bar of its own accord shows only once something is done
-                self.timer = threading.Timer(wait, _show, (self.bar,))
-                self.timer.daemon = True
-                self.timer.start()
-        self.bar.update(done - self.bar.n)
-        if done >= of:
-            self.close()
-
-    def close(self) -> None:
-        """Take the bar away."""
-        if self.timer is not None:
-            self.timer.cancel()
-        if self.bar is not None:
-            self.bar.close()
-        self.bar, self.label, self.timer = None, None, None
-
-
-def _show(bar: Any) -> None:
-    bar.delay = 0  # shown from here on, so there is something to clear
-    bar.refresh()
 
 
 def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
@@ -85,6 +48,20 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
     """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
     parser.add_argument(name, dest="overwrite", action="store_true",
                         help="write over what this command did not make; what it reads it never writes over")
+
+
+def add_json(parser: ArgumentParser) -> None:
+    """Let a command print its result for programs."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of words")
+
+
+def print_json(tree: object) -> None:
+    """Print a result for programs; figures that are not numbers are null."""
+    import json
+
+    from rig.json_file import nulls
+
+    print(json.dumps(nulls(tree), indent=1))
 
 
 def length(text: str) -> float:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import re
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import exerting
-from rig.commands.output import SEED, add_force, file_or_stdout
+from rig.commands.output import SEED, add_force, add_json, file_or_stdout, print_json
 from rig.errors import RigError
 from rig.files import write_text
-from rig.kinds import arm_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,7 +43,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--speed", type=float, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture")
     add_force(parser, "--overwrite")
-    parser.add_argument("--json", action="store_true", help="print JSON (m, rad) instead of a table")
+    add_json(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -72,7 +70,10 @@ def run(arguments: Namespace) -> None:
         tree["exert"] = exerting.tree(np.array(tree["q"]), arm, wanted)
         if draw:
             write_text(draw, exerting.drawn(np.array(tree["q"]), arm, wanted))
-    print(json.dumps(tree, indent=1) if arguments.json else _table(tree, arguments))
+    if arguments.json:
+        print_json(tree)
+    else:
+        print(_table(tree, arguments))
 
 
 def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
@@ -81,6 +82,8 @@ def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
 
     path = shelf.path(arguments.arm)
     design, dynamics = dynamics_file.load(path)
+    from rig.kinds import arm_of
+
     arm = arm_of(design.mechanism)
     return path, arm, exerting.wanted(arguments, arm, dynamics, design.gravity, path)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_recording, print_comparison, print_unsolved, read_recording
+from rig.commands.output import SEED, Progress, add_json, add_recording, print_comparison, print_json, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table (m, rad)")
+    add_json(parser)
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
 
@@ -55,7 +54,7 @@ def run(arguments: Namespace) -> None:
     same = store.seen_before(calibration, recording)
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
     if arguments.json:
-        print(json.dumps(store.nulls(_verification(held, same, sampled, driven, calibration.claim)), indent=1))
+        print_json(_verification(held, same, sampled, driven, calibration.claim))
         return
     if same:
         print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "

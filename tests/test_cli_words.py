@@ -1,0 +1,179 @@
+"""The command line itself: help, versions, words mistyped, what is quiet, what is for programs, completion, and the commands that look around."""
+
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from rig.cli import COMMANDS, command_line, main
+from rig.commands import found
+from rig.commands.progress_shown import Progress, line
+from rig.commands.usage import nearest
+from rig.effects import ALL
+from tests.cli import RIG
+from tests.conftest import BENCH
+
+
+@pytest.mark.parametrize("words, says", [
+    (["mesure"], "did you mean measure?"), (["simulat", "rig.toml"], "did you mean simulate?"),
+    (["measure", "REC", "--ot", "DIR"], "--ot: did you mean --out?"),
+    (["measure", "REC", "--out", "DIR", "--skip-unredable"], "--skip-unreadable?"), (["xyzzy"], "there is no command 'xyzzy'. `rig --help`"),
+])
+def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2 and says in capsys.readouterr().err
+
+
+def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():
+    assert nearest("measure", COMMANDS) is None and nearest("qqqq", COMMANDS) is None and nearest("--skip", ["--skip-unreadable"]) is None
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert not end.value.code and capsys.readouterr().out == "rig 0.1.0\n"
+
+
+def test_every_command_has_a_file_and_help():
+    chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
+    assert set(chosen) == set(COMMANDS) and all(len(sub.format_help()) > 100 for sub in chosen.values())
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_options(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(name in script for name in COMMANDS) and "skip-unreadable" in script
+    program = shutil.which(shell)
+    if program:
+        assert subprocess.run([program, "-n"], input=script, text=True, capture_output=True).returncode == 0
+
+
+def test_bash_completes(capsys):
+    main(["completion", "bash"])
+    script = capsys.readouterr().out
+    asked = "COMP_WORDS=(rig calibrate --anyw); COMP_CWORD=2; _shtab_rig; "
+    done = subprocess.run(["bash", "-c", f'{script}\n{asked}echo "${{COMPREPLY[@]}}"'], capture_output=True, text=True)
+    assert done.stdout.split() == ["--anyway"]
+
+
+def test_the_catalogue_is_a_table_of_all_effects(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "140")
+    assert main(["effects"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"\n{effect.name[:17]}" in text for effect in ALL) and max(map(len, text.splitlines())) <= 140
+    assert main(["effects", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in told] == [effect.name for effect in ALL]
+    assert all(one["exposed_by"] and one["action"] and one["places"] and one["stage"] and "{" not in one["exposed_by"] for one in told)
+    assert {p["unit"] for one in told if one["name"] == "backlash" for p in one["parameters"]} == {"m"}
+
+
+def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
+    assert main(["effects", "backlash"]) == 0
+    text = capsys.readouterr().out
+    assert "gap 5e-06 to 0.0002 m" in text and "Exposed by:" in text and "--effect backlash:PLACE:gap=" in text
+    assert main(["effects", "backlsh"]) == 1
+    assert "did you mean backlash?" in capsys.readouterr().err
+
+
+def test_doctor_tells_what_is_missing(capsys, monkeypatch):
+    monkeypatch.setattr(found, "graphics", lambda: found.Found("OpenGL", "absent", "none"))
+    assert main(["doctor"]) == 0
+    text = capsys.readouterr().out
+    assert "numpy" in text and "cameras" in text and "GB free" in text and "cores" in text
+    monkeypatch.setattr(found.metadata, "requires", lambda name: ["numpy>=99", "no-such-thing>=1", "nor-this>=2; extra == 'genicam'"])
+    assert main(["doctor", "--json"]) == 1
+    states = {one["about"]: (one["state"], one["todo"]) for one in json.loads(capsys.readouterr().out)["found"]}
+    assert states["numpy"] == ("missing", "rig needs 99 or newer: pip install -U numpy")
+    assert states["no-such-thing"] == ("missing", "pip install no-such-thing") and states["nor-this"] == ("absent", "pip install 'rig[genicam]'")
+
+
+def test_doctor_names_cameras_without_opening_them(tmp_path):
+    (tmp_path / "video0").mkdir()
+    (tmp_path / "video0" / "name").write_text("HD cam\n")
+    assert found.cameras(tmp_path).text == "/dev/video0 (HD cam)" and found.cameras(tmp_path / "none").state == "absent"
+
+
+def test_graphics_that_break_are_absent(monkeypatch):
+    monkeypatch.setattr(found, "CONTEXT", "import os; os.abort()")
+    assert found.graphics().state == "absent"
+
+
+def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
+    assert main(["new", str(tmp_path / "a"), "--defaults", "--radius", "300mm", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+    assert main(["design", "--radius", "0.3"]) == 0
+    assert (tmp_path / "a" / "rig.toml").read_text() == capsys.readouterr().out
+    for words, says in ((["--radius", "300"], "length above 0 with its unit"), (["--mechanism", "hexpod"], "did you mean hexapod?"),
+                        (["--cameras", "0", "--radius", "1m"], "1 to 20 cameras"), (["--size", "big", "--radius", "1m"], "expected for example")):
+        assert main(["new", str(tmp_path / "b"), "--defaults", *words]) == 1
+        assert says in capsys.readouterr().err and not (tmp_path / "b").exists()
+    assert main(["new", str(tmp_path / "no" / "where"), "--defaults", "--radius", "1m"]) == 1
+    assert "no folder" in capsys.readouterr().err
+    (tmp_path / "a" / "rig.toml").write_text("x")
+    assert main(["new", str(tmp_path / "a"), "--defaults", "--radius", "1m"]) == 1 and (tmp_path / "a" / "rig.toml").read_text() == "x"
+
+
+def test_new_asks_four_questions_at_a_terminal(tmp_path):
+    ours, theirs = pty.openpty()
+    asked = subprocess.Popen([*RIG, "new", str(tmp_path / "n")], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    os.write(ours, b"hexapot\n\n250mm\n2\n640x480\n")
+    out, err = asked.communicate(timeout=60)
+    os.close(ours)
+    os.close(theirs)
+    assert asked.returncode == 0 and err.count("?") == 6 and "did you mean hexapod?" in err
+    assert "written" in out and (tmp_path / "n" / "rig.toml").read_text().count("[[camera]]") == 2
+
+
+def test_nobody_to_ask_is_an_error_that_names_the_option():
+    done = subprocess.run([*RIG, "new", "/tmp"], stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    assert done.returncode == 1 and "give --mechanism or --defaults" in done.stderr
+
+
+def test_lines_tell_the_time_left(monkeypatch, capsys):
+    monkeypatch.setattr(Progress, "shown", "lines")
+    progress = Progress(every=0.0)
+    progress("locating", 0, 4)
+    progress("locating", 1, 4)
+    progress("locating", 4, 4)
+    said = capsys.readouterr().err.splitlines()
+    assert said[::2] == ["locating: 0 of 4, 0 %", "locating: 4 of 4, 100 %"] and said[1].startswith("locating: 1 of 4, 25 %, about 0 s left")
+    assert line("fitting", 10, 100, 30.0) == "fitting: 10 of 100, 10 %, about 4 min left"
+    assert line("fitting", 50, 100, 30.0) == "fitting: 50 of 100, 50 %, about 30 s left"
+
+
+def test_lines_come_seldom_and_none_means_none(monkeypatch, capsys):
+    monkeypatch.setattr(Progress, "shown", "lines")
+    progress = Progress(every=60.0)
+    progress("locating", 1, 4)
+    monkeypatch.setattr(Progress, "shown", "none")
+    Progress(silent=0.0)("locating", 1, 4)
+    assert capsys.readouterr().err == ""
+
+
+def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
+    assert main(["check", str(BENCH / "fit"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": []}
+    (tmp_path / "rec").mkdir()
+    assert main(["check", str(tmp_path / "rec"), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert not told["usable"] and "rig.toml" in told["found"][0]["what"]
+
+
+def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
+    assert main(["check", str(BENCH / "fit"), "--quiet"]) == 0 and capsys.readouterr().out == ""
+    assert main(["check", str(BENCH / "fit"), "--quiet", "--json"]) == 0 and json.loads(capsys.readouterr().out)["usable"]
+    assert main(["design", "--radius", "0.3", "--quiet"]) == 0 and "[[camera]]" in capsys.readouterr().out
+    assert main(["design", "--radius", "0.3", "--quiet", "--out", str(tmp_path / "rig.toml")]) == 0 and capsys.readouterr().out == ""
+
+
+def test_help_of_every_command_opens_no_library():
+    code = ("import sys; from rig.cli import COMMANDS, command_line; command_line(COMMANDS)\n"
+            "print(sorted({'scipy', 'cv2', 'numba', 'matplotlib', 'pyrender', 'serial', 'shtab'} & set(sys.modules)))")
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
