@@ -155,16 +155,17 @@ def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for."""
     from rig.commands.progress_shown import Progress
 
-    Progress.shown = getattr(arguments, "progress", "auto")
-    out, results = getattr(arguments, "out", ""), getattr(arguments, "json", False)
-    if getattr(arguments, "quiet", False):
-        Progress.shown = "none"
-        if out is not None and not results:  # without --out the result itself is printed
+    out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
+    before, Progress.shown = Progress.shown, "none" if quiet else getattr(arguments, "progress", "auto")
+    try:
+        if quiet and out is not None and not getattr(arguments, "json", False):  # without --out the result itself is printed
             with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
                 yield
-            return
-    with redirect_stdout(sys.stderr) if out == STANDARD_OUTPUT else nullcontext():
-        yield
+        else:
+            with redirect_stdout(sys.stderr) if out == STANDARD_OUTPUT else nullcontext():
+                yield
+    finally:
+        Progress.shown = before
 
 
 def _read(arguments: argparse.Namespace) -> list[Path]:

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import SEED, Progress, add_force, file_or_stdout, length
-from rig.design import Arm
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from calib.identify.d_optimal import Avoided
-    from rig.design import Design, Free, Hexapod, Planar2
+    from rig.design import Arm, Design, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
 MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
@@ -128,7 +127,7 @@ def _parameters(arguments: Namespace) -> None:
     if arguments.count < 1 or min(arguments.sigma) <= 0:
         raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
     out = arguments.outputs.file(arguments.out)
-    if isinstance(mechanism, Arm):
+    if mechanism.kind == "arm":
         return _of_arm(arguments, design, mechanism, out)
 
     from calib.identify.d_optimal import choose

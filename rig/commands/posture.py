@@ -79,11 +79,10 @@ def run(arguments: Namespace) -> None:
 def _wanted(arguments: Namespace) -> tuple[Path, Arm, Exertion | None]:
     """(path, Arm, what it is to exert or None) of the arguments."""
     from rig import dynamics_file, shelf
+    from rig.kinds import arm_of
 
     path = shelf.path(arguments.arm)
     design, dynamics = dynamics_file.load(path)
-    from rig.kinds import arm_of
-
     arm = arm_of(design.mechanism)
     return path, arm, exerting.wanted(arguments, arm, dynamics, design.gravity, path)
 
