@@ -124,7 +124,10 @@ def _parameters(calibration: Calibration) -> str:
 
 def origin(calibration: Calibration) -> str:
     """HTML of where a calibration came from; the marks of its data are for programs."""
-    return table(("what", "value"), flat({name: part for name, part in calibration.provenance.items() if name != "data"}))
+    rows = {name: part for name, part in calibration.provenance.items() if name not in ("data", "passes")}
+    before = {f"pass {k + 1}": {name: one[name] for name in ("recording", "created", "pass") if name in one}
+              for k, one in enumerate(calibration.provenance.get("passes", ()))}
+    return table(("what", "value"), flat(before | rows))
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

@@ -14,8 +14,8 @@ from calib.workspace.cells import Workspace
 def workspace_page(path: Path | str, name: str, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None = None) -> None:
     """Write the page. name : of the calibration; unit : of an axis, m or rad; room_of : what the map's room is of, in words
     certified : (c, 2) m and rad that a certificate promises in each cell, NaN where none does, or None without one"""
-    quantities = [*((drawing.LOST, drawing.GAINED) if w.lost is not None else ()), drawing.POSITION, drawing.ROTATION, drawing.room(unit),
-                  drawing.SINGULAR]
+    quantities = [*((drawing.LOST, drawing.GAINED) if w.lost is not None else ()), drawing.POSITION,
+                  *((drawing.ROTATION,) if w.turns else ()), drawing.room(unit), drawing.SINGULAR]
     parts = [f"<style>{STYLE}</style>", *(f"<p>{html.escape(line)}.</p>" for line in words.lines(w, unit)),
              f"<p class=note>Cells of {w.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of the strokes, all axes free "
              "of each other; what depends on history, temperature and load is not in it. Room: of " + html.escape(room_of) + ".</p>"]

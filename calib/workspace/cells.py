@@ -58,6 +58,11 @@ class Workspace:
         return np.asarray(self.origin + (self.index + 0.5) * self.size)
 
     @property
+    def turns(self) -> bool:
+        """Whether the platform turns: a hinge does not."""
+        return bool((self.bound[:, 1] > 0).any())
+
+    @property
     def flat(self) -> bool:
         """Whether all cells lie in one layer."""
         return bool((self.index[:, 2] == self.index[0, 2]).all())

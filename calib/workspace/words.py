@@ -14,8 +14,9 @@ def lines(w: Workspace, unit: str) -> list[str]:
         f"{w.lost * 100:.2f} % of the poses that the owner's model reaches are lost, {w.gained * 100:.2f} % of those that the corrected machine "
         f"reaches are gained ({w.drawn} configurations of each, all over the strokes, all axes free of each other)")
     known, inner = np.isfinite(w.bound[:, 0]), w.room > 0
-    out = [f"workspace: {first}", f"in {known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} um and "
-           f"{_span(w.bound[known, 1] * 1e6)} urad, singular values from {np.nanmin(w.singular):.3f} of the greatest"]
+    turned = f" and {_span(w.bound[known, 1] * 1e6)} urad" if w.turns else ""
+    out = [f"workspace: {first}", f"{known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} um{turned}; "
+           f"singular values from {np.nanmin(w.singular):.3f} of the greatest"]
     if inner.any():
         scale, shown = ROOM.get(unit, (1.0, unit))
         out.append(f"{inner.sum()} cells have room to all limits, up to {np.nanmax(w.room) * scale:.4g} {shown}")
