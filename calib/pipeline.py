@@ -67,11 +67,16 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     if instrument is not None and "free" in (instrument.base, instrument.tool) and kind != "arm":
         raise RigError(f"{recording.folder}: an instrument whose place is unknown (base or tool \"free\") is solved for with arms, not with a "
                        f"mechanism of kind {kind!r}; state its poses in the rig's own frames")
+    if instrument is not None and instrument.kind != "pose" and kind != "arm":
+        raise RigError(f"{recording.folder}: an [instrument] of kind {instrument.kind!r} calibrates arms, not a mechanism of kind {kind!r}")
     if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
         raise RigError(f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, not a mechanism of "
                        f"kind {kind!r}")
     covariance = poses.covariance
     if covariance is None:
         position, rotation = (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
-        covariance = np.broadcast_to(np.diag([position**2] * 3 + [rotation**2] * 3), (len(poses.frame), 6, 6))
+        variances = np.repeat([position**2, rotation**2], 3)
+        if instrument is not None and instrument.kind == "distance":
+            variances[1:] = np.inf
+        covariance = np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))
     return samples(recording, poses.frame, poses.T_base_platform, covariance)

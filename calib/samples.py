@@ -36,6 +36,13 @@ class Samples:
     def __len__(self) -> int:
         return len(self.frame)
 
+    @property
+    def measured(self) -> str:
+        """What of a pose was measured: "pose", "position" or "orientation" alone, or the "distance" of the target from the frame's origin, which
+        then stands along x. What was not has an infinite variance."""
+        known = np.isfinite(np.diag(self.covariance[0]))
+        return {(True, True): "pose", (True, False): "position", (False, True): "orientation"}.get((known[:3].all(), known[3:].all()), "distance")
+
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
@@ -89,6 +96,9 @@ def blocks(count: int, folds: int) -> np.ndarray:
 
 
 def uncertainty(covariance: np.ndarray) -> tuple[float, float]:
-    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6)."""
-    position, rotation = (float(np.sqrt(np.trace(covariance[:, part, part], axis1=1, axis2=2).mean())) for part in (slice(0, 3), slice(3, 6)))
+    """(m, rad) RMS standard uncertainty of the length of position and rotation, of covariances (n, 6, 6), of what was measured; else infinite."""
+    variances = np.einsum("nii->ni", covariance)
+    known = np.where(np.isinf(variances), 0.0, variances)
+    position, rotation = (float(np.sqrt(known[:, part].sum(axis=1).mean())) if np.isfinite(variances[:, part]).any() else np.inf
+                          for part in (slice(0, 3), slice(3, 6)))
     return position, rotation

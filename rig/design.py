@@ -128,12 +128,14 @@ class Free:
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """Who wrote poses.csv. base, tool : "free" (where it stands, its target sits, is unknown and solved for) or "rig"; position_sigma : m, of a
-    coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a touched ball)"""
+    coordinate; rotation_sigma : rad, or None for one that sees positions alone (a reflector, a touched ball); kind : "pose", "orientation"
+    (rotations alone, position_sigma infinite) or "distance" (of a wire drawn from the origin of the frame of poses to the target)"""
 
     base: str
     tool: str
     position_sigma: float
     rotation_sigma: float | None
+    kind: str = "pose"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,11 @@ import numpy as np
 
 from rig import arm_entries, camera_entries
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Instrument, Marker, MeasuringLimbs,
+from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Marker, MeasuringLimbs,
                         Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
+from rig.instrument_entries import instrument
 from rig.outside import read_text
 from rig.pose import vector
 from rig.singular import singular
@@ -60,7 +61,7 @@ def design_of(root: Entries) -> Design:
     camera_entries.check_in_hand(root, cameras, targets, mechanism)
     return Design(
         name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
-        instrument=_instrument(root.table("instrument")) if "instrument" in root.tree else None,
+        instrument=instrument(root.table("instrument")) if "instrument" in root.tree else None,
         actuator=actuator, platform=_platform(root.table("platform", optional=True)),
         cameras=cameras, targets=targets, sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
@@ -98,11 +99,6 @@ def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.nda
         if low <= 0:
             table.fail(f"{table.name(key)}[{i + 1}] must be positive, not {low:g} m", key, i, 0)
     return ranges
-
-
-def _instrument(table: Entries) -> Instrument:
-    return Instrument(table.text("base", ("free", "rig")), table.text("tool", ("free", "rig")),
-                      table.number("position_sigma", above=0, most=1, unit="m"), table.number("rotation_sigma", None, above=0, most=1, unit="rad"))
 
 
 def _actuator(table: Entries) -> Actuator:

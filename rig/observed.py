@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import table
-from rig.design import Design
+from rig.design import Design, Instrument
 from rig.entries import LARGEST_RIG
 from rig.errors import FileError
 from rig.exposures import Exposures
@@ -15,6 +15,7 @@ from rig.pose import TRIANGLE, covariance_from_triangle, pose
 from rig.table import Table
 
 POSE_COLUMNS = ("x", "y", "z", "rx", "ry", "rz")
+DISTANCE = "distance"  # column of a drawn wire's length, m
 COVARIANCE_COLUMNS = tuple(f"c{i}{j}" for i, j in zip(*TRIANGLE))
 CORNER_COLUMNS = ("frame", "camera", "marker", "corner", "u", "v")
 CORNER_COVARIANCE = ("cuu", "cuv", "cvv")
@@ -93,6 +94,36 @@ def load_poses(path: str | Path, known_frames: set[int] | None = None, positions
     mean nothing: the poses are unrotated. Raises FileError with line and column.
     """
     rows = table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
+    frame = _frames(rows, known_frames)
+    values = np.zeros((len(rows), 6))
+    values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
+    _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
+    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
+
+
+def load_measured(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
+    """Poses of a recording's poses.csv, as far as its Instrument sees them: orientations at the origin, a wire's lengths along x.
+
+    Raises FileError with line and column
+    """
+    kind = "pose" if instrument is None else instrument.kind
+    if kind == "pose":
+        return load_poses(path, known_frames, instrument is not None and instrument.rotation_sigma is None)
+    columns = POSE_COLUMNS[3:] if kind == "orientation" else (DISTANCE,)
+    rows = table.read(path, ("frame", *columns))
+    frame, values = _frames(rows, known_frames), rows.matrix(columns)
+    nothing = np.zeros((len(rows), 3))
+    if kind == "orientation":
+        return Poses(frame, pose(nothing, values), None)
+    _plausible(rows, values, columns)
+    short = np.flatnonzero(values[:, 0] <= 0)
+    if len(short):
+        rows.fail(f"a wire's length must be positive, not {values[short[0], 0]:g} m", short[0], DISTANCE, values[short[0], 0])
+    return Poses(frame, pose(np.pad(values, ((0, 0), (0, 2))), nothing), None)
+
+
+def _frames(rows: Table, known_frames: set[int] | None) -> np.ndarray:
+    """(n,) frame of each row, each once and known."""
     frame = rows.whole("frame")
     seen: dict = {}
     for i, number in enumerate(frame.tolist()):
@@ -101,13 +132,15 @@ def load_poses(path: str | Path, known_frames: set[int] | None = None, positions
         if number in seen:
             rows.fail(f"frame {number} is listed twice, first in line {rows.lines[seen[number]]}", i, "frame", number)
         seen[number] = i
-    values = np.zeros((len(rows), 6))
-    values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
-    far = np.argwhere(np.abs(values[:, :3]) > LARGEST_RIG)
+    return frame
+
+
+def _plausible(rows: Table, values: np.ndarray, columns: tuple[str, ...]) -> None:
+    """Raise FileError at the first length (n, k) that no rig has."""
+    far = np.argwhere(np.abs(values) > LARGEST_RIG)
     if len(far):
         i, j = far[0]
-        rows.fail(f"{POSE_COLUMNS[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, POSE_COLUMNS[j], values[i, j])
-    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
+        rows.fail(f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, columns[j], values[i, j])
 
 
 def _pose_covariance(rows: Table) -> np.ndarray | None:

@@ -14,7 +14,7 @@ from rig.errors import FileError, RigError
 from rig.exposures import Exposures, Unreadable, load_exposures
 from rig.files import complete
 from rig.notebook import shown
-from rig.observed import Corners, Poses, load_corners, load_poses
+from rig.observed import Corners, Poses, load_corners, load_measured, load_poses
 from rig.origin import Origin, decimal
 from rig.table import Table
 
@@ -115,8 +115,7 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
-    alone = design.instrument is not None and design.instrument.rotation_sigma is None
-    poses = load_poses(folder / "poses.csv", known, alone) if (folder / "poses.csv").exists() else None
+    poses = load_measured(folder / "poses.csv", known, design.instrument) if (folder / "poses.csv").exists() else None
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
     return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped))
 

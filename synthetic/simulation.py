@@ -14,7 +14,7 @@ from rig import machine
 from rig.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.files import write_text
 from rig.kinds import axes_of
-from rig.observed import POSE_COLUMNS
+from rig.observed import DISTANCE, POSE_COLUMNS
 from rig.plan import Plan, logged
 from rig.pose import exp, transform_points, vector
 from rig.recording import LIMBS, Corners, Sensors
@@ -162,11 +162,16 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
 
 
 def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Instrument, rng: np.random.Generator) -> None:
-    """Write poses.csv as an Instrument sees poses (n,): with its noise, and positions alone where it sees no rotations."""
-    sigma = np.repeat([instrument.position_sigma, instrument.rotation_sigma or 0.0], 3)
-    rows = vector(T_base_platform * exp(sigma * rng.normal(size=(len(T_base_platform), 6))))
-    columns = POSE_COLUMNS[: 3 if instrument.rotation_sigma is None else 6]
-    write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row[: len(columns)])]) for f, row in enumerate(rows)])
+    """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's lengths alone."""
+    if instrument.kind == "distance":
+        lengths = np.linalg.norm(T_base_platform.translation, axis=1) + instrument.position_sigma * rng.normal(size=len(T_base_platform))
+        columns, rows = (DISTANCE,), lengths[:, None]
+    else:
+        seen = np.repeat([instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3)
+        rows = vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
+        part = slice(3, 6) if instrument.kind == "orientation" else slice(0, 3 if instrument.rotation_sigma is None else 6)
+        columns, rows = POSE_COLUMNS[part], rows[:, part]
+    write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)])
 
 
 def truth_corners(simulation: Simulation) -> list[list]:

@@ -56,7 +56,7 @@ def test_the_loop_of_an_arm_with_slides_closes(tmp_path, rig, name):
 
 @pytest.mark.parametrize("options, says", [
     (("--arm", "scarab"), "there is no arm 'scarab'; there are gantry, panda"), (("--mechanism", "arm"), "takes --arm"),
-    (("--arm", "scara", "--radius", "0.2"), "are for a hexapod"), ((), "a hexapod takes --radius, an arm --arm"),
+    (("--arm", "scara", "--radius", "0.2"), "--arm brings its own figures"), ((), "takes --radius"),
 ])
 def test_an_arm_that_cannot_be_designed_says_why(rig, options, says):
     assert says in rig("design", *options, ok=False)

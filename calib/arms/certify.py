@@ -7,8 +7,9 @@ import numpy as np
 from calib.arms import model, profile
 from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, needed, parameters
-from calib.arms.observations import Observations, of_samples
+from calib.arms.observations import KINDS, Observations, of_samples
 from calib.arms.place import placed
+from calib.arms.rank import PLAUSIBLE
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
@@ -23,7 +24,8 @@ STRETCHES = 30  # in time; every third is held out at once, so a third of the sa
 PARTS = 3
 FEW = 30  # configurations below which one at a time is held out, or a tenth of them
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
-WIDTH = {"pose": 6, "position": 3}  # numbers of an observation
+UNPLACED = {"orientation": "orientations alone were measured, which tell nothing of lengths and places",
+            "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,17 +61,29 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     said("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return Certified(correction, found, label, None, None, None)
-    plain, full = _held_out(samples, nominal, instrument, (parts, start), (False, True), said)
-    scale = _spread(plain[1])
+    in_part = samples.measured in UNPLACED
+    plain, *rest = _held_out(samples, nominal, instrument, (parts, start), (False,) if in_part else (False, True), said)
+    full = plain if in_part else rest[0]
+    scale = 1.0 if in_part else _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
-    profiled = pays(loss[0] - loss[1])
+    profiled = not in_part and pays(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
     (scattered,) = _held_out(samples, nominal, instrument, (rows, start), (profiled,), said)
     if profiled:
         correction, found = _profiled(samples, correction, found)
     covariance = samples.total_covariance()
     held = [compare(*errors, covariance, rng, label) for errors in (full if profiled else plain, scattered, plain)]
-    return Certified(correction, found, label, *held)
+    return Certified(correction, _as_stated(found, samples.measured), label, *held)
+
+
+def _as_stated(found: Identified, measured: str) -> Identified:
+    """What was found of an arm of which not all was measured: what nothing tells is as uncertain as a maker's figures are."""
+    if measured not in UNPLACED:
+        return found
+    untold = parameters(found.arm, "pose") & ~found.rank.free
+    covariance = found.covariance + np.diag(np.where(untold, [PLAUSIBLE[unit] ** 2 for unit in model.units(found.arm)], 0.0))
+    scatter = np.r_[np.zeros(3), found.scatter] if measured == "orientation" else np.repeat(found.scatter, 3)
+    return replace(found, covariance=covariance, scatter=scatter)
 
 
 def _parts(label: np.ndarray) -> np.ndarray:
@@ -81,7 +95,7 @@ def _parts(label: np.ndarray) -> np.ndarray:
 def _enough_for_any(samples: Samples, nominal: Arm) -> None:
     """Raises NotEnoughData, with how many it takes, for samples too few to fit the arm at all."""
     kind = of_samples(samples).kind
-    needed(len(samples), WIDTH[kind], int(parameters(nominal, kind).sum()))
+    needed(len(samples), KINDS[kind], int(parameters(nominal, kind).sum()))
 
 
 def _enough(samples: Samples, found: Identified, label: np.ndarray, parts: np.ndarray) -> bool:
@@ -173,6 +187,10 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     """Claim of a certified arm for its joints' angles between the least and the greatest recorded, each configuration once."""
     found, correction = done.found, done.correction
     good = found.inliers
+    if samples.measured in UNPLACED:
+        told, fitted = int(done.label.max()) + 1, int(found.rank.free.sum())
+        return Claim(told, fitted, fitted, found.rank.asked, "what is told at all is fitted without one", "none", None, None, None, None,
+                     UNPLACED[samples.measured])
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
     each = witnesses(kept, label, model.joint_jacobian(kept.commanded, found.arm))

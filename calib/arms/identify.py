@@ -79,7 +79,7 @@ def identify(observations: Observations, nominal: Arm, free: np.ndarray | None =
     """Identified : the parameters that explain the observations.
 
     observations : Observations; nominal : Arm, where the fit starts, its base and tool included (see calib.arms.place)
-    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m, median by which nominal may miss
+    free : (p,) bool, the parameters to fit, those of `parameters` by default; farthest : m (orientations: rad), median by which nominal may miss
     Raises NotEnoughData for fewer equations than parameters, RigError where nominal is far off or the fit does not settle
     """
     free = parameters(nominal, observations.kind) if free is None else np.asarray(free, bool)
@@ -87,8 +87,9 @@ def identify(observations: Observations, nominal: Arm, free: np.ndarray | None =
     needed(len(observations), k, int(free.sum()))
     far = np.median(np.linalg.norm(observations.residuals(nominal)[:, :3], axis=1))
     if far > farthest:
-        raise RigError(f"what was measured is {far * 1e3:.0f} mm (median) from where the owner's model has it: are these the joint angles of these "
-                       "poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
+        unit = "mrad" if observations.kind == "orientation" else "mm"
+        raise RigError(f"what was measured is {far * 1e3:.0f} {unit} (median) from where the owner's model has it: are these the joint angles of "
+                       "these poses, with these senses and zeros, and is [instrument] base or tool unknown (\"free\")?")
     inliers, arm, total = np.ones(len(observations), bool), nominal, 0
     scatter = _scatter(observations.residuals(nominal), observations, inliers, 0)  # cautious weights first, the instrument's when earned
     for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""What an instrument says about an arm's target: whole poses, positions, or one distance, as rows for least squares."""
+"""What an instrument says about an arm's target: whole poses, positions, orientations or one distance, as rows for least squares."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,20 @@ from calib.arms import model
 from calib.samples import Samples
 from rig.design import Arm
 
-KINDS = {"pose": 6, "position": 3, "distance": 1}  # rows that one observation gives
+KINDS = {"pose": 6, "position": 3, "orientation": 3, "distance": 1}  # rows that one observation gives
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
     """m observations of one arm by one instrument.
 
-    kind : "pose" (laser tracker with a 6D probe, CMM, vision), "position" (tracker with a reflector, CMM touching a ball) or
-    "distance" (a drawn wire; it runs from the origin of the frame of poses to the target)
+    kind : "pose" (laser tracker with a 6D probe, CMM, vision), "position" (tracker with a reflector, CMM touching a ball), "orientation"
+    (inclinometers, an autocollimator, a camera whose target's size is not known: eq. 4.64 alone) or "distance"
+    (a drawn wire; it runs from the origin of the frame of poses to the target)
     q : (m, n) rad, commanded
-    value : RigidTransform (m,), (m, 3) m or (m,) m
-    covariance : (m, k, k) of an observation's own error, k = 6 (tangent on the right), 3 (frame of poses) or 1, m and rad
+    value : RigidTransform (m,), also of orientations, (m, 3) m or (m,) m
+    covariance : (m, k, k) of an observation's own error, k = 6 (tangent on the right), 3 (positions: frame of poses; orientations: on the
+    right) or 1, m and rad
     common : (m, k, j) factor of errors that all share (error = common z + own, z ~ N(0, I)); j = 0 where there are none
     """
 
@@ -46,8 +48,9 @@ class Observations:
 
     def residuals(self, arm: Arm) -> np.ndarray:
         """(m, k): observed less predicted."""
-        if self.kind == "pose":
-            return model.residuals(self.q, self.value, arm)
+        if self.kind in ("pose", "orientation"):
+            left = model.residuals(self.q, self.value, arm)
+            return left if self.kind == "pose" else left[:, 3:]
         position = model.predicted(self.q, arm).translation
         if self.kind == "position":
             return self.value - position
@@ -64,6 +67,8 @@ class Observations:
     def _rows(self, J: np.ndarray, arm: Arm) -> np.ndarray:
         if self.kind == "pose":
             return J
+        if self.kind == "orientation":
+            return J[:, 3:]
         T = model.predicted(self.q, arm)
         J = T.rotation.as_matrix() @ J[:, :3]
         if self.kind == "position":
@@ -73,9 +78,13 @@ class Observations:
 
 
 def of_samples(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, or positions where rotations were not measured (their variance is infinite)."""
-    if np.isfinite(samples.covariance).all():
+    """Observations of Samples: whole poses, or what of them was measured (the variance of the rest is infinite)."""
+    if samples.measured == "pose":
         return of_poses(samples)
+    if samples.measured == "orientation":
+        return of_orientations(samples.commanded, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
+    if samples.measured == "distance":
+        return of_distances(samples.commanded, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0]))
     return of_positions(samples.commanded, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
 
 
@@ -91,7 +100,13 @@ def of_positions(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray
                         np.zeros((len(q), 3, 0)))
 
 
-def of_distances(q: np.ndarray, distances: np.ndarray, sigma: float) -> Observations:
-    """Observations of a drawn wire's lengths (m,) m at joint angles q (m, n), standard deviation sigma (m)."""
-    return Observations("distance", np.asarray(q, float), np.asarray(distances, float), np.full((len(q), 1, 1), sigma**2),
-                        np.zeros((len(q), 1, 0)))
+def of_orientations(q: np.ndarray, turned: RigidTransform, sigma: float | np.ndarray) -> Observations:
+    """Observations of target orientations, the rotations of (m,) transforms, at joint angles q (m, n); sigma (rad, one or m) about each axis."""
+    variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
+    return Observations("orientation", np.asarray(q, float), turned, variance * np.eye(3), np.zeros((len(q), 3, 0)))
+
+
+def of_distances(q: np.ndarray, distances: np.ndarray, sigma: float | np.ndarray) -> Observations:
+    """Observations of a drawn wire's lengths (m,) m at joint angles q (m, n), standard deviation sigma (m, one or m)."""
+    variance = np.broadcast_to(np.square(sigma), len(q))[:, None, None]
+    return Observations("distance", np.asarray(q, float), np.asarray(distances, float), np.array(variance), np.zeros((len(q), 1, 0)))

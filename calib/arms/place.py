@@ -20,7 +20,8 @@ from rig.errors import NotEnoughData, RigError
 from rig.mechanisms import arm as mechanism
 from rig.pose import log
 
-LEAST = {"pose": 3, "position": 6, "distance": 10}
+LEAST = {"pose": 3, "position": 6, "orientation": 4, "distance": 10}
+TELLS = 1e-6  # of the greatest eigenvalue; orientations whose second least is smaller leave a family of answers
 ROTATIONS = 4000  # looked at; none of SO(3) lies farther than some 12 degrees from one
 STARTS, LEADING = 12, 3  # refined roughly on few observations; and of these to the end on more
 APART = np.radians(25)  # between two of them
@@ -59,6 +60,8 @@ def placed(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
     if observations.kind == "distance":
         links = mechanism.forward(observations.q, replace(arm, base=RigidTransform.identity(), tool=arm.tool))
         return _from_distances(observations.value, links, arm) if base else arm
+    if observations.kind == "orientation":
+        return _from_orientations(observations, arm, base, tool)
     some, few = _spread(observations, LOOKED_AT), _spread(observations, ROUGHLY[0])
     rows = arm.rows
     rough = sorted((_refined(few, start, rows, (base, tool), ROUGHLY[1]) for start in _starts(some, arm, base, tool)), key=lambda p: p.left)
@@ -227,6 +230,38 @@ def _span(A: np.ndarray) -> np.ndarray:
         return A
     U, s, _ = np.linalg.svd(A, full_matrices=False)
     return U[:, s > COARSE[0] / AWAY]
+
+
+def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: bool) -> Arm:
+    """X F Z = M in rotations alone, linear in X' and Z; where base and target stand they do not tell, and that stays as stated.
+
+    Raises RigError where the hand's rotations leave a family of answers
+    """
+    none = RigidTransform.identity()
+    F = mechanism.forward(observations.q, replace(arm, base=none, tool=none)).rotation.as_matrix()
+    M, X, Z = observations.value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
+    if base and tool:
+        X, Z, told = from_rotations(M, F)
+        if told < TELLS:
+            raise RigError("orientations of a hand that turns about one axis alone leave a family of places of base and target; move more joints, or "
+                           "state one of the two places")
+        return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
+    X = nearest(np.einsum("mij,mkj->ik", M, F @ Z)) if base else X
+    Z = nearest(np.einsum("mji,mjk->ik", X @ F, M)) if tool else Z
+    return replace(arm, base=transform(X, arm.base.translation), tool=transform(Z, arm.tool.translation))
+
+
+def from_rotations(M: np.ndarray, F: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(X, Z, how well they are told) of M = X F Z, rotations M and F (m, 3, 3): the null vector of M Z' = X F.
+
+    The third is the second least eigenvalue over the greatest, 0 where a family of answers fits. Source: Shah, J. Mechanisms Robotics 5, 2013
+    """
+    one = np.eye(3)
+    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9), -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)],
+                          axis=2).reshape(-1, 18)
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    null = vectors[:, 0] * np.sign(np.linalg.det(vectors[9:, 0].reshape(3, 3)))
+    return nearest(null[9:].reshape(3, 3)), nearest(null[:9].reshape(3, 3).T), float(values[1] / values[-1])
 
 
 def _from_distances(lengths: np.ndarray, target: RigidTransform, arm: Arm) -> Arm:

@@ -39,11 +39,13 @@ def _held(done: Certified) -> list[str]:
     held = done.held_out
     if held is None or done.geometry is None or done.scattered is None:
         return []
-    floor = f"{held.floor[0] * 1e3:.4f} mm" + (f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] < 1 else "; rotations were not measured")
+    floor = " and ".join(f"{size * 1e3:.4f} {unit}" for size, unit in zip(held.floor, ("mm", "mrad")) if size < 1)
+    floor += "".join(f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1)
+    k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
     rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
                                                 ("corrected, random rows", done.scattered.after))]
     return [f"<p>Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct configurations): the "
-            f"mean position error falls from {held.before.mean[0] * 1e3:.3f} mm to {held.after.mean[0] * 1e3:.4f} mm. The measured poses themselves "
+            f"mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. The measured poses themselves "
             f"are uncertain by {floor}. Rows drawn at random flatter: their neighbours in time were fitted.</p>",
             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
 

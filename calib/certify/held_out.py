@@ -33,7 +33,8 @@ class HeldOut:
     """before : with the owner's model; after : corrected; both against the measured poses, which were not used in fitting
 
     floor : (m, rad) RMS standard uncertainty of the measured poses themselves
-    ratio : before / after in position on these poses, with its 95 % bootstrap interval (low, high), configurations drawn, not poses; of fewer than
+    ratio : before / after in position, where that was not measured in rotation, on these poses,
+    with its 95 % bootstrap interval (low, high), configurations drawn, not poses; of fewer than
     LEAST configurations it has none, NaN
     configurations : how many distinct ones these poses are
     """
@@ -64,11 +65,13 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
     label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
     before, after = figures(errors_before), figures(errors_after)
     count, size = label.max() + 1, np.bincount(label)
-    squares = [np.bincount(label, weights=(e[:, :3] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
+    part = slice(3, 6) if np.isnan(errors_after[:, :3]).any() else slice(0, 3)
+    squares = [np.bincount(label, weights=(e[:, part] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
     picks = rng.integers(count, size=(DRAWS, count))
     draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
     low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
-    ratio = (before.position[0] / max(after.position[0], 1e-300), float(low), float(high))
+    sizes = [float(np.sqrt(one.sum() / len(label))) for one in squares] if part.start else [before.position[0], after.position[0]]
+    ratio = (sizes[0] / max(sizes[1], 1e-300), float(low), float(high))
     return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
 
 
@@ -80,9 +83,15 @@ def errors_of(correction: Correction[Any, Any], samples: Samples) -> tuple[np.nd
 
 
 def error_of(T_base_platform: RigidTransform, samples: Samples) -> np.ndarray:
-    """(n, 6) measured poses against these (n,), NaN as `errors_of`."""
+    """(n, 6) measured poses against these (n,), NaN as `errors_of` and for positions that were not measured; of a wire's length along x."""
+    if samples.measured == "distance":
+        error = np.full((len(samples), 6), np.nan)
+        error[:, 0] = samples.T_base_platform.translation[:, 0] - np.linalg.norm(T_base_platform.translation, axis=1)
+        error[:, 1:3] = 0.0
+        return error
     error, spread = difference(T_base_platform, samples.T_base_platform), samples.covariance[:, [3, 4, 5], [3, 4, 5]]
     error[:, 3:][np.isinf(spread) | (spread == 0)] = np.nan
+    error[:, :3][np.isinf(samples.covariance[:, [0, 1, 2], [0, 1, 2]])] = np.nan
     return error
 
 

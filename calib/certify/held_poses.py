@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.configurations import labels, ranges
 from calib.correct.correction import Correction
 from calib.samples import Samples
-from rig.errors import NotEnoughData
+from rig.errors import NotEnoughData, RigError
 from rig.recording import Commands
 
 REST = 0.25  # s before an exposure, over which nothing was commanded to move
@@ -88,8 +88,11 @@ def last_moves(commands: Commands, t: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, np.ndarray, np.ndarray]]) -> HeldPoses:
     """HeldPoses of recordings, each (Samples, Commands, plain (n, 6), errors (n, 6) as `errors_of` gives them).
 
-    Raises NotEnoughData where the machine never stood still
+    Raises NotEnoughData where the machine never stood still, RigError where positions were not measured
     """
+    for samples, *_ in parts:
+        if samples.measured in ("orientation", "distance"):
+            raise RigError(f"a certificate speaks for poses, and of these the {samples.measured} alone was measured")
     kept = [np.flatnonzero(at_rest(commands, samples.t)) for samples, commands, _, _ in parts]
     moving = sum(len(samples) - len(k) for k, (samples, *_) in zip(kept, parts))
     if not sum(map(len, kept)):

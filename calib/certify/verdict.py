@@ -2,6 +2,7 @@
 
 import math
 
+from calib.certify.configurations import LEAST
 from calib.certify.held_out import HeldOut
 from calib.certify.claim import Claim
 
@@ -16,8 +17,8 @@ def verdict(claim: Claim) -> list[str]:
             + (f", {claim.better} of them better than the owner's figures are" if claim.better < claim.determined else "")
             + (f"; {rest} rest on the owner's figures" if rest else "") + f" ({claim.tolerance})") if claim.unknowns else claim.tolerance
     if claim.ratio is None or claim.before is None or claim.after is None or claim.measured is None:
-        return [f"no factor is claimed: {claim.reason}", told,
-                "no held-out figure either: what is left at the recorded configurations would only say how well these are known"]
+        few = ["no held-out figure either: what is left at the recorded configurations would only say how well these are known"]
+        return [f"no factor is claimed: {claim.reason}", told, *(few if claim.distinct < LEAST else [])]
     before, after = claim.before[0], claim.after[0]
     turned = f", rotation {claim.before[1][0] * 1e3:.3f} -> {claim.after[1][0] * 1e3:.4f} mrad" if any(claim.before[1]) else ""
     return [f"{factor(claim.ratio)} all over the workspace: position error {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} mm RMS ("
@@ -47,8 +48,9 @@ def most(held: HeldOut, claim: Claim) -> float:
 def verified(held: HeldOut, claim: Claim | None) -> str:
     """The verdict on a calibration by a recording's poses: a line."""
     where = "this 1 configuration" if held.configurations == 1 else f"these {held.configurations} configurations"
-    here = (f"{factor(held.ratio)} on {where}: {held.before.position[0] * 1e3:.3f} -> "
-            f"{held.after.position[0] * 1e3:.4f} mm RMS as measured")
+    placed = math.isfinite(held.after.position[0])
+    before, after, unit = (held.before.position, held.after.position, "mm") if placed else (held.before.rotation, held.after.rotation, "mrad")
+    here = f"{factor(held.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} RMS as measured"
     if claim is None or claim.after is None:
         return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
     limit = f"up to {most(held, claim) * 1e3:.4f} mm with what measuring adds"

@@ -81,7 +81,8 @@ class Reached:
 def look(recording: Recording) -> tuple[Mistake, ...]:
     """The mistake that makes an arm's commands and poses disagree, if one does."""
     arm = recording.design.mechanism
-    if recording.commands is None or recording.poses is None or not isinstance(arm, Arm):
+    instrument = recording.design.instrument
+    if recording.commands is None or recording.poses is None or not isinstance(arm, Arm) or (instrument and instrument.kind != "pose"):
         return ()
     known, t = recording.exposures.times()
     all_q = np.stack([np.interp(t, recording.commands.t, column) for column in recording.commands.values.T], axis=1)

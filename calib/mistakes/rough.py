@@ -1,6 +1,6 @@
 """Where an arm stands and its target sits, roughly and at once: hundreds of readings of the same data are compared by what this leaves.
 
-Source: the null vector of M Z' = X F over all poses, Shah, J. Mechanisms Robotics 5, 2013; positions by Kabsch in turn with the target's place
+Source: rotations as calib.arms.place.from_rotations; positions by Kabsch in turn with the target's place
 """
 
 from dataclasses import replace
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.arms.place import nearest, transform
+from calib.arms.place import from_rotations, nearest, transform
 from rig.design import Arm
 from rig.mechanisms import arm as mechanism
 
@@ -27,13 +27,9 @@ def placed(q: np.ndarray, T: RigidTransform, alone: bool, arm: Arm, base: bool, 
         return replace(arm, tool=_middle(links.inv() * arm.base.inv() * T))
     if not tool:
         return replace(arm, base=_middle(T * (links * arm.tool).inv()))
-    M, F, one = T.rotation.as_matrix(), links.rotation.as_matrix(), np.eye(3)
-    rows = np.concatenate([np.einsum("mij,kl->mikjl", M, one).reshape(len(M), 9, 9), -np.einsum("ij,mlk->mikjl", one, F).reshape(len(M), 9, 9)],
-                          axis=2).reshape(-1, 18)
-    null = np.linalg.eigh(rows.T @ rows)[1][:, 0]
-    null = null * np.sign(np.linalg.det(null[9:].reshape(3, 3)))
-    Z, X = nearest(null[:9].reshape(3, 3).T), nearest(null[9:].reshape(3, 3))
-    A = np.concatenate([X @ F, np.tile(one, (len(M), 1, 1))], axis=2).reshape(-1, 6)
+    F = links.rotation.as_matrix()
+    X, Z, _ = from_rotations(T.rotation.as_matrix(), F)
+    A = np.concatenate([X @ F, np.tile(np.eye(3), (len(F), 1, 1))], axis=2).reshape(-1, 6)
     t = np.linalg.lstsq(A, (T.translation - links.translation @ X.T).ravel())[0]
     return replace(arm, tool=transform(Z, t[:3]), base=transform(X, t[3:]))
 

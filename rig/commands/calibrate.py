@@ -233,8 +233,10 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
         print("beyond the geometry: " + (f"joints {', '.join(map(str, kept))} corrected over the configuration space; the geometry alone leaves "
                                          f"{done.geometry.after.mean[0] * 1e3:.4f} mm mean on the same poses" if kept
                                          else "nothing that pays on held-out poses"))
-        print(f"the same with single rows held out at random, which flatters: {done.scattered.after.mean[0] * 1e3:.4f} mm mean, "
-              f"{done.scattered.after.position[0] * 1e3:.4f} RMS")
+        flattered = done.scattered.after
+        placed = flattered.mean[0] == flattered.mean[0]
+        mean, rms, unit = (flattered.mean[0], flattered.position[0], "mm") if placed else (flattered.mean[1], flattered.rotation[0], "mrad")
+        print(f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, {rms * 1e3:.4f} RMS")
     print("\n".join(done.found.rank.report()))
     _print_poses(sampled, done)
     return calibration

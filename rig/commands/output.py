@@ -104,7 +104,9 @@ def print_comparison(held: HeldOut, title: str) -> None:
     turned = "; rotations were not measured"
     if held.floor[1] < 1:
         turned = f" and {held.floor[1] * 1e3:.4f} mrad" if held.floor[1] else "; it does not turn"
-    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {held.floor[0] * 1e3:.4f} mm{turned}")
+    placed = f"{held.floor[0] * 1e3:.4f} mm" if held.floor[0] < 1 else ""
+    words = f"{placed}{turned}" if placed else f"{turned.removeprefix(' and ')}; positions were not measured"
+    print(f"on these poses {factor(held.ratio)}; the measured poses themselves are uncertain by {words}")
 
 
 def _cell(value: float) -> str:

@@ -63,6 +63,8 @@ def arms_of(samples: Samples, design: Design, commands: Commands | None = None, 
     """
     if len(samples) < FEWEST:
         raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm; it takes {FEWEST}, better 500")
+    if samples.measured in ("orientation", "distance"):
+        raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
     if not isinstance(design.mechanism, Arm):
         raise RigError(f"this takes an arm, not a mechanism of kind {design.mechanism.kind!r}")
     _, found = calibrate(samples, design.mechanism, design.instrument, profiles=False)
