@@ -41,7 +41,8 @@ class Samples:
         """What of a pose was measured: "pose", "position" or "orientation" alone, or the "distance" of the target from the frame's origin, which
         then stands along x. What was not has an infinite variance."""
         known = np.isfinite(np.diag(self.covariance[0]))
-        return {(True, True): "pose", (True, False): "position", (False, True): "orientation"}.get((known[:3].all(), known[3:].all()), "distance")
+        return {(True, True): "pose", (True, False): "position", (False, True): "orientation"}.get(
+            (bool(known[:3].all()), bool(known[3:].all())), "distance")
 
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""

@@ -165,7 +165,8 @@ def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Inst
     """Write poses.csv as an Instrument sees poses (n,), with its noise: whole, or positions, orientations or a wire's lengths alone."""
     if instrument.kind == "distance":
         lengths = np.linalg.norm(T_base_platform.translation, axis=1) + instrument.position_sigma * rng.normal(size=len(T_base_platform))
-        columns, rows = (DISTANCE,), lengths[:, None]
+        columns: tuple[str, ...] = (DISTANCE,)
+        rows = lengths[:, None]
     else:
         seen = np.repeat([instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3)
         rows = vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))

@@ -188,8 +188,8 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     found, correction = done.found, done.correction
     good = found.inliers
     if samples.measured in UNPLACED:
-        told, fitted = int(done.label.max()) + 1, int(found.rank.free.sum())
-        return Claim(told, fitted, fitted, found.rank.asked, "what is told at all is fitted without one", "none", None, None, None, None,
+        fitted = int(found.rank.free.sum())
+        return Claim(int(done.label.max()) + 1, fitted, fitted, found.rank.asked, "what is told at all is fitted without one", "none", None, None, None, None,
                      UNPLACED[samples.measured])
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)

@@ -239,7 +239,9 @@ def _from_orientations(observations: Observations, arm: Arm, base: bool, tool: b
     """
     none = RigidTransform.identity()
     F = mechanism.forward(observations.q, replace(arm, base=none, tool=none)).rotation.as_matrix()
-    M, X, Z = observations.value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
+    value = observations.value
+    assert isinstance(value, RigidTransform)
+    M, X, Z = value.rotation.as_matrix(), arm.base.rotation.as_matrix(), arm.tool.rotation.as_matrix()
     if base and tool:
         X, Z, told = from_rotations(M, F)
         if told < TELLS:
