@@ -170,8 +170,8 @@ def write_measured(path: Path, T_base_platform: RigidTransform, instrument: Inst
     else:
         seen = np.repeat([instrument.position_sigma if instrument.kind == "pose" else 0.0, instrument.rotation_sigma or 0.0], 3)
         rows = vector(T_base_platform * exp(seen * rng.normal(size=(len(T_base_platform), 6))))
-        part = slice(3, 6) if instrument.kind == "orientation" else slice(0, 3 if instrument.rotation_sigma is None else 6)
-        columns, rows = POSE_COLUMNS[part], rows[:, part]
+        first, last = (3, 6) if instrument.kind == "orientation" else (0, 3 if instrument.rotation_sigma is None else 6)
+        columns, rows = tuple(POSE_COLUMNS[first:last]), rows[:, first:last]
     write_table(path, ("frame", *columns), [",".join([str(f), *(f"{x:.10f}" for x in row)]) for f, row in enumerate(rows)])
 
 

@@ -189,8 +189,8 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     good = found.inliers
     if samples.measured in UNPLACED:
         fitted = int(found.rank.free.sum())
-        return Claim(int(done.label.max()) + 1, fitted, fitted, found.rank.asked, "what is told at all is fitted without one", "none", None, None, None, None,
-                     UNPLACED[samples.measured])
+        return Claim(int(done.label.max()) + 1, fitted, fitted, found.rank.asked, "what is told at all is fitted without one",
+                     "none", None, None, None, None, UNPLACED[samples.measured])
     label = np.unique(done.label[good], return_inverse=True)[1]
     kept = samples.take(good)
     each = witnesses(kept, label, model.joint_jacobian(kept.commanded, found.arm))
