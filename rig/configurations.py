@@ -15,6 +15,7 @@ from rig.outside import shown
 from rig.pose import pose
 
 FILL = 0.8  # of the strokes that plans use
+FARTHEST = 1.0  # m or rad from home, or times a way
 DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its poses: a tenth of the whole from each end
 
 
@@ -112,20 +113,38 @@ def along_and_about(design: Design, per_axis: int = 9) -> np.ndarray:
     mechanism = design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"axes plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    return _through_home(mechanism, np.eye(6), per_axis)
+
+
+def combined(design: Design, per_pair: int = 6) -> np.ndarray:
+    """(18 per_pair, 6) commands through home that turn about X, Y or Z while they move along X, Y or Z, both ways: each pair on two diagonals, as far
+    as the struts reach; a turn of a radian goes with as many m as each reaches alone (on-line learning patent, [0015]).
+
+    Raises RigError for a mechanism that is no hexapod
+    """
+    mechanism = design.mechanism
+    if mechanism.kind != "hexapod":
+        raise RigError(f"combined plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    alone = np.diag(_reach(mechanism, np.eye(6)))
+    return _through_home(mechanism, np.array([along + sign * about for along in alone[:3] for about in alone[3:] for sign in (1, -1)]), per_pair)
+
+
+def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:
+    """(k count, 6) m, commands along ways (k, 6) m, rad through home, one after the other, as far as the struts reach on either side."""
+    steps = np.linspace(-_reach(mechanism, -ways), _reach(mechanism, ways), count, axis=1)
+    return mechanisms.of(mechanism).inverse(_shifted(mechanism, (steps[..., None] * ways[:, None]).reshape(-1, 6)), mechanism)
+
+
+def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
+    """(k,) how many times each way (k, 6) m, rad from home the struts reach, within the middle part FILL of their strokes; at most FARTHEST."""
     module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
-    found = []
-    for axis in range(6):
-        reach = []
-        for sign in (-1, 1):
-            low, high = 0.0, 1.0
-            for _ in range(40):
-                half = (low + high) / 2
-                lengths = module.inverse(_shifted(mechanism, axis, sign * half), mechanism)
-                inside = not module.limits(middle + (lengths - middle) / FILL, mechanism).any()
-                low, high = (half, high) if inside else (low, half)
-            reach.append(sign * low)
-        found += [module.inverse(_shifted(mechanism, axis, step), mechanism) for step in np.linspace(reach[0], reach[1], per_axis)]
-    return np.array(found)
+    low, high = np.zeros(len(ways)), np.full(len(ways), FARTHEST)
+    for _ in range(40):
+        half = (low + high) / 2
+        lengths = module.inverse(_shifted(mechanism, half[:, None] * ways), mechanism)
+        inside = ~module.limits(middle + (lengths - middle) / FILL, mechanism).any(axis=1)
+        low, high = np.where(inside, half, low), np.where(inside, high, half)
+    return low
 
 
 def iso9283(design: Design) -> np.ndarray:
@@ -151,10 +170,9 @@ def _moved(mechanism: Hexapod, offsets: np.ndarray) -> RigidTransform:
     return RigidTransform.from_translation(offsets) * mechanism.home
 
 
-def _shifted(mechanism: Hexapod, axis: int, step: float) -> RigidTransform:
-    offset = np.zeros(6)
-    offset[axis] = step
-    return pose(offset[:3], [0, 0, 0]) * mechanism.home * pose([0, 0, 0], offset[3:])
+def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
+    """Home moved and turned by offsets (k, 6) m, rad."""
+    return pose(offset[:, :3], np.zeros((len(offset), 3))) * mechanism.home * pose(np.zeros((len(offset), 3)), offset[:, 3:])
 
 
 def scaled(strokes: np.ndarray, unit: np.ndarray, fill: float) -> np.ndarray:

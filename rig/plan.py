@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import mechanisms, table
-from rig.configurations import FILL, along_and_about, division, grid, iso9283, low_discrepancy, parts, scaled, simplices
+from rig.configurations import FILL, along_and_about, combined, division, grid, iso9283, low_discrepancy, parts, scaled, simplices
 from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.origin import Origin, decimal
@@ -90,8 +90,8 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
     configuration at which the struts settle is reached from shorter struts.
 
-    Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, ladder:STEPS, payload:N,
-    moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES
+    Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
+    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
     Raises RigError for a part that is not known.
     """
@@ -120,7 +120,8 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
 
 def _refuse_endless(name: str, count: int, axes: int, before: int, text: str) -> None:
     """Raise RigError for a part that would make a plan of more than MOST exposures."""
-    each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "ladder": 4.0 * axes * count,
+    each = {"grid": float(count) ** axes, "simplices": count * (2.0 * axes + 2.0 ** (axes - 1)), "axes": 6.0 * count, "combined": 18.0 * count,
+            "ladder": 4.0 * axes * count,
             "payload": 3.0 * count, "iso9283": 5.0 * count}.get(name, count)
     _refuse_beyond(name, str(count), each, before, text)
 
@@ -269,6 +270,7 @@ PARTS: dict[str, Callable[..., None]] = {
     "grid": _visit(lambda design, count, rng: grid(strokes_of(design), count or 2)),
     "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
+    "combined": _visit(lambda design, count, rng: combined(design, count or 6)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
     "division": _division, "iso9283": _iso9283,
 }

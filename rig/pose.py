@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 TRIANGLE = np.triu_indices(6)
+LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
 
 
 def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:
@@ -39,6 +40,30 @@ def difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     The parts are taken separately (no coupling of rotation into position), the definition used for every pose error.
     """
     return vector(T_from.inv() * T_to)
+
+
+def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
+    """(..., 3) rad of a RigidTransform (...): turned by roll about x, then pitch about y, then yaw about z, the axes of the static frame.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll). At a pitch of a quarter turn roll and yaw turn alike: all of it is told as roll, yaw is 0
+    """
+    R = T.rotation.as_matrix()
+    pitch = np.arctan2(-R[..., 2, 0], np.hypot(R[..., 0, 0], R[..., 1, 0]))
+    locked = np.hypot(R[..., 0, 0], R[..., 1, 0]) < LOCKED
+    roll = np.where(locked, np.arctan2(-R[..., 1, 2], R[..., 1, 1]), np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    return np.stack([roll, pitch, np.where(locked, 0.0, np.arctan2(R[..., 1, 0], R[..., 0, 0]))], axis=-1)
+
+
+def angle_sigmas(T: RigidTransform, covariance: np.ndarray) -> np.ndarray:
+    """(..., 3) rad, standard deviations of roll, pitch and yaw of poses (...) with covariance (..., 6, 6), tangent on the right; infinite where
+    roll and yaw cannot be told apart."""
+    roll, pitch, _ = np.moveaxis(roll_pitch_yaw(T), -1, 0)
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    cp = np.where(np.abs(cp) < LOCKED, np.nan, cp)
+    zero, one = np.zeros(np.shape(roll)), np.ones(np.shape(roll))
+    rates = np.stack([np.stack([one, sr * sp / cp, cr * sp / cp], -1), np.stack([zero, cr, -sr], -1), np.stack([zero, sr / cp, cr / cp], -1)], -2)
+    spread = np.einsum("...ij,...jk,...ik->...i", rates, np.asarray(covariance)[..., 3:, 3:], rates)
+    return np.sqrt(np.where(np.isnan(spread), np.inf, spread))
 
 
 def transform_points(T: RigidTransform, points: np.ndarray) -> np.ndarray:

@@ -9,7 +9,9 @@ from rig.exposures import Exposures
 from rig.files import write_bytes, write_text
 from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
 from rig.origin import Origin
-from rig.pose import TRIANGLE, vector
+from rig.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, vector
+
+ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
@@ -27,6 +29,24 @@ def write_poses(path: Path, poses: Poses) -> None:
             cells += [f"{value:.9e}" for value in poses.covariance[i][TRIANGLE]]
         lines.append(",".join(cells))
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_angles(path: Path, poses: Poses) -> None:
+    """Write poses as x, y, z (m) and roll, pitch, yaw (rad) against the static frame, with standard deviations u_* where there is a covariance."""
+    sure = poses.covariance is not None
+    rows = np.concatenate([poses.T_base_platform.translation, roll_pitch_yaw(poses.T_base_platform)], axis=-1)
+    lines = [",".join([str(frame), *(f"{value:.10f}" for value in row)]) for frame, row in zip(poses.frame, np.atleast_2d(rows))]
+    if poses.covariance is not None:
+        sigma = np.concatenate([_positions(poses), angle_sigmas(poses.T_base_platform, poses.covariance)], axis=-1)
+        lines = [line + "".join(f",{value:.4e}" if np.isfinite(value) else "," for value in row) for line, row in zip(lines, sigma)]
+    write_table(path, ("frame", *ANGLES, *(f"u_{name}" for name in ANGLES if sure)), lines)
+
+
+def _positions(poses: Poses) -> np.ndarray:
+    """(n, 3) m, standard deviations along the static frame's axes: a covariance stands along the platform's."""
+    R, C = poses.T_base_platform.rotation.as_matrix(), poses.covariance
+    assert C is not None
+    return np.sqrt(np.einsum("nij,njk,nik->ni", R, C[:, :3, :3], R))
 
 
 def write_corners(path: Path, corners: Corners) -> None:

@@ -3,7 +3,9 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rig import table
 from rig.cli import main
@@ -80,6 +82,9 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0
     assert "40 poses from the measuring limbs; vision looked at 4 of them and agrees" in capsys.readouterr().out
     assert len(table.read(tmp_path / "poses" / "poses.csv", ("frame", "x", "c55"))) == 40
+    told = table.read(tmp_path / "poses" / "rpy.csv", ("frame", "roll", "pitch", "yaw", "u_roll", "u_z"))
+    turned = table.read(tmp_path / "poses" / "poses.csv", ("rx",)).matrix(("rx", "ry", "rz"))
+    np.testing.assert_allclose(Rotation.from_euler("xyz", told.matrix(("roll", "pitch", "yaw"))).as_rotvec(), turned, atol=1e-9)
     assert main(["calibrate", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "c.json")]) == 0
     kept = json.loads((tmp_path / "c.json").read_text())["provenance"]
     assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(kept["data"])

@@ -159,7 +159,7 @@ def test_lines_come_seldom_and_none_means_none(monkeypatch, capsys):
 
 def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
     assert main(["check", str(BENCH / "fit"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": []}
+    assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": [], "remarks": []}
     (tmp_path / "rec").mkdir()
     assert main(["check", str(tmp_path / "rec"), "--json"]) == 1
     told = json.loads(capsys.readouterr().out)

@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         corners = corners or seen
     if corners is not None:
         found += _looked(recording, corners)
-    return _say(arguments, in_order(found))
+    return _say(arguments, in_order(found), _remarks(recording))
 
 
 def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
@@ -56,13 +56,22 @@ def _looked(recording: "Recording", corners: "Corners") -> tuple[Mistake, ...]:
     return look(recording, corners, thorough=True)
 
 
-def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...]) -> int:
+def _remarks(recording: "Recording") -> tuple[str, ...]:
+    """What could be better about the rig's cubes, in figures."""
+    from vision.mistakes.cubes import remarks
+
+    return remarks(recording.design)
+
+
+def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...], remarks: tuple[str, ...] = ()) -> int:
     spoilt = any(one.spoils for one in found)
     if arguments.json:
-        print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found]})
+        print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found], "remarks": list(remarks)})
         return int(spoilt)
     for one in found:
         print(f"{'wrong' if one.spoils else 'unlikely'}: {one}")
     if not found:
         print("nothing wrong or unlikely was found")
+    for text in remarks:
+        print(f"remark: {text}")
     return int(spoilt)

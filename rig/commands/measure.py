@@ -69,7 +69,9 @@ def run(arguments: Namespace) -> None:
     wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
     text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
-    writing.write_poses(out / "poses.csv", recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance))
+    poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
+    writing.write_poses(out / "poses.csv", poses)
+    writing.write_angles(out / "rpy.csv", poses)
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     measurement_page(out / "report.html", recording, measured, collected, moved, determination.lines(), wrong)
@@ -83,7 +85,7 @@ def run(arguments: Namespace) -> None:
         _print_places(moved)
     _print_cameras(recording.design.cameras, measured.design.cameras)
     print(determination.summary())
-    print(f"written: {arguments.out}/poses.csv, corners.csv, rig.toml; look at {arguments.out}/report.html")
+    print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), corners.csv, rig.toml; look at {arguments.out}/report.html")
 
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:
@@ -98,12 +100,14 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
     writing.write_bytes(out / "rig.toml", (recording.folder / "rig.toml").read_bytes())
-    writing.write_poses(out / "poses.csv", Poses(found.frames, found.T_base_platform, found.covariance))
+    poses = Poses(found.frames, found.T_base_platform, found.covariance)
+    writing.write_poses(out / "poses.csv", poses)
+    writing.write_angles(out / "rpy.csv", poses)
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     position, rotation = uncertainty(found.covariance)
     print(f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of which readings "
           f"{uncertainty(found.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision over {accepted.agreement.n} poses")
-    print(f"written: {arguments.out}/poses.csv, rig.toml as stated")
+    print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")
 
 
 def _print_verdict(measured: Measurement, held: Any, uncertainties: tuple[float, float], total: int) -> None:

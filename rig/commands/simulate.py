@@ -25,8 +25,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("design", metavar="RIG.toml", type=Path, nargs="?")
     parser.add_argument("--from", dest="source", metavar="DIR", type=Path, help="draw a diagnosed recording anew instead: DIR is what rig diagnose "
                         "wrote; OUT gets two recordings, with/ and without/ the physics that was found")
-    parser.add_argument("--plan", default="standard", help="parts joined by commas: sobol:N, division:Q, grid:N, simplices:N, axes:N, ladder:N, "
-                        "payload:N, moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES, commands:FILE; or standard (the default)")
+    parser.add_argument("--plan", default="standard", help="parts joined by commas: sobol:N, division:Q, grid:N, simplices:N, axes:N, "
+                        "combined:N, ladder:N, payload:N, moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES, commands:FILE; or standard "
+                        "(the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
     parser.add_argument("--noise", type=float, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
     kind = parser.add_mutually_exclusive_group()

@@ -8,8 +8,8 @@ from rig.errors import FileError, RigError
 from rig.mechanisms import hexapod
 from rig.pose import difference
 
-EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "iso9283": 150, "ladder": 96, "payload": 36, "moving": 60,
-            "zigzag": 60, "warmup": 48, "repeat": 30}
+EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "combined": 108, "iso9283": 150, "ladder": 96,
+            "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30}
 
 
 @pytest.mark.parametrize("part", [name for name in plan.PARTS if name != "commands"])
@@ -67,6 +67,19 @@ def test_axes_translate_along_and_turn_about_the_axes(design):
     for axis in range(6):
         off = np.delete(moved[axis], axis, axis=1)
         assert np.abs(off).max() < 1e-9 and np.ptp(moved[axis][:, axis]) > 0.02
+
+
+def test_combined_plans_turn_while_they_move_along_every_pair_of_axes(design):
+    T = hexapod.forward(plan.combined(design, 4), design.mechanism)
+    moved = difference(design.mechanism.home, T).reshape(3, 3, 2, 4, 6)
+    for i in range(3):
+        for j in range(3):
+            for k, sign in enumerate((1, -1)):
+                part = moved[i, j, k]
+                place = T.translation.reshape(3, 3, 2, 4, 3)[i, j, k] - design.mechanism.home.translation
+                assert np.abs(np.delete(place, i, axis=1)).max() < 1e-9 and np.abs(np.delete(part[:, 3:], j, axis=1)).max() < 1e-9
+                assert np.ptp(place[:, i]) > 0.01 and np.ptp(part[:, 3 + j]) > 0.03
+                assert (np.sign(place[[0, -1], i] * part[[0, -1], 3 + j]) == sign).all()
 
 
 def test_grid_neighbours_differ_in_one_axis(design):
