@@ -47,6 +47,7 @@ COMMANDS = {
     "plan": "Which configurations to visit so that what is asked becomes visible.",
     "online": "A recording's poses learnt from one at a time: what the machine is by now, and what jumped.",
     "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
+    "closure": "More lengths than six: which six tell the pose, and by how much the others do not close.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
