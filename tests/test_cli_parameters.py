@@ -30,6 +30,17 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     assert "beside 10 given" in capsys.readouterr().out
 
 
+def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsys):
+    out = tmp_path / "plan.csv"
+    assert main(["plan", str(rig_file), "--parts", "axes:2,combined:2", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "48 configurations of axes:2,combined:2" in said and "rz -" in said and len(table.read(out, ("frame", "l1"))) == 48
+    assert main(["simulate", str(rig_file), "--plan", f"commands:{out}", "--out", str(tmp_path / "rec")]) == 0
+    assert main(["plan", str(rig_file), "--parts", "combinde:2", "--out", str(tmp_path / "none.csv")]) == 1
+    assert "there is no part 'combinde'" in capsys.readouterr().err
+    assert main(["plan", str(rig_file), "--parts", "moving:5", "--out", str(tmp_path / "none.csv")]) == 1
+
+
 @pytest.mark.parametrize("arguments, says", [
     (["--count", "0"], "positive"), (["--count", "3"], "3 configurations cannot determine"), (["--given", "typo.csv"], "typo.csv: no such file"),
 ])

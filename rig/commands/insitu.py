@@ -11,10 +11,8 @@ from rig.commands.output import Progress, add_recording, print_unsolved, read_re
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.certify.insitu import Agreement, Limbs
+    from calib.certify.insitu import Agreement
     from calib.pipeline import Sampled
-    from calib.samples import Samples
-    from rig.design import Hexapod
     from rig.recording import Recording
 
 
@@ -34,7 +32,7 @@ def run(arguments: Namespace) -> int:
         raise RigError("--tolerance takes two positive numbers, m and rad")
     recording = read_recording(arguments)
 
-    from calib.certify import insitu
+    from calib.certify import insitu, limb_steps
     from calib.online import limb_source, limbs_file
     from calib.pipeline import sample_recording
     from calib.store import provenance
@@ -50,13 +48,15 @@ def run(arguments: Namespace) -> int:
     found = insitu.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
     limbs, _ = insitu.calibrated(samples, nominal, sigma)
     accepted = limbs_file.Accepted(limbs, nominal, found, None, provenance(recording, arguments.argv, 0, by_vision.source == "images"))
-    slipped = _slipped(samples, nominal, limbs)
+    slipped = limb_steps.slip(samples, limbs, sigma)
     if slipped is not None:
-        accepted = limbs_file.withdrawn(accepted, str(recording.folder), *slipped)
+        reason = f"limb {slipped.limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
+        accepted = limbs_file.withdrawn(accepted, str(recording.folder), slipped.frame, reason)
     _print(found, by_vision.source)
     print_unsolved(by_vision.measurement)
-    if slipped is not None:
-        print(f"frame {slipped[0]}: {slipped[1]}; limbs that change while they are held against vision cannot stand for it")
+    if accepted.withdrawn is not None:
+        print(f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while they are held "
+              "against vision cannot stand for it")
     passed = accepted.verdict == "accepted"
     print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
     if out is not None:
@@ -65,22 +65,6 @@ def run(arguments: Namespace) -> int:
     if state is not None and passed:
         _learn(arguments, recording, limb_source.sampled(recording, limb_source.read(recording, accepted)), state)
     return 0 if passed else 1
-
-
-def _slipped(samples: Samples, nominal: Hexapod, limbs: Limbs) -> tuple[int, str] | None:
-    """(frame, reason) of the first change of the limbs among the poses they are found from; None where nothing changed."""
-    import numpy as np
-
-    from calib.certify.insitu import Limbs as Begun
-    from calib.identify.geometry import PRIOR
-    from calib.online.limb_check import LimbCheck
-
-    checks = LimbCheck(Begun(nominal, np.eye(42) * PRIOR**2, limbs.sigma), samples.common.shape[2])
-    for frame, x, T, C, B in zip(samples.frame.tolist(), samples.commanded, samples.T_base_platform, samples.covariance, samples.common):
-        found = checks.take(x, T, C, B)
-        if found is not None:
-            return frame, found.reason
-    return None
 
 
 def _print(found: Agreement, source: str) -> None:

@@ -1,4 +1,4 @@
-"""rig plan RIG.toml --for parameters|--promise 20um|--separate EFFECT EFFECT --out FILE."""
+"""rig plan RIG.toml --for parameters|--promise 20um|--separate EFFECT EFFECT|--parts axes:5,combined:4 --out FILE."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ def arguments(parser: ArgumentParser) -> None:
                        "rig simulate --effect, as large as it is expected: OUT gets t,l1..l6 of the best plan")
     asked.add_argument("--promise", type=length, metavar="20um", help="the fewest and best poses after which the corrected machine keeps to so much, "
                        "RMS over its workspace; beside those --given the next best ones, in the order in which they help")
+    asked.add_argument("--parts", metavar="PARTS", help="parts of a plan as for rig simulate --plan, at whose exposures the struts stand, written as "
+                       "configurations: axes:5,combined:4 goes along and about X, Y and Z, and turns while it moves along each")
     parser.add_argument("--count", type=int, default=60, help="configurations to choose (default 60)")
     parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
                         help="smallest volume of uncertainty (default), or smallest amplification of noise")
@@ -42,7 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Choose configurations, write them, and say what they make visible."""
-    (_promise if arguments.promise else _separate if arguments.separate else PURPOSES[arguments.purpose])(arguments)
+    (_promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose])(arguments)
 
 
 def _promise(arguments: Namespace) -> None:
@@ -70,6 +72,30 @@ def _promise(arguments: Namespace) -> None:
         print(f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
               f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top")
         print("left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um")
+    print(f"written: {arguments.out}")
+
+
+def _parts(arguments: Namespace) -> None:
+    """Write the configurations of a plan's parts, in order, and say how far they go."""
+    import numpy as np
+
+    from rig import design_file, mechanisms, writing
+    from rig.plan import build
+    from rig.pose import difference
+    from rig.steps import steps
+
+    if arguments.calibration or arguments.given:
+        raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
+    design = design_file.load(arguments.design)
+    mechanism, goals = design.mechanism, [step.goal for step in steps(build(design, arguments.parts, SEED)) for _ in range(step.frames)]
+    writing.write_table(arguments.outputs.file(arguments.out), ("frame", *mechanism.axes),
+                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(goals)])
+    print(f"{len(goals)} configurations of {arguments.parts}")
+    if mechanism.kind == "hexapod":
+        moved = difference(mechanism.home, mechanisms.of(mechanism).forward(np.array(goals), mechanism)) * 1e3
+        low, high = moved.min(axis=0), moved.max(axis=0)
+        print("from home, in the platform's axes: " + ", ".join(f"{name} {a:+.1f} .. {b:+.1f} {unit}" for name, unit, a, b in zip(
+            ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("mrad",) * 3, low, high)))
     print(f"written: {arguments.out}")
 
 

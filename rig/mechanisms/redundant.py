@@ -75,6 +75,17 @@ def rows(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return length - of.zeros, np.concatenate([own, np.cross(of.platform, own)], axis=2), -unit
 
 
+def slopes(of: Legs, T: RigidTransform) -> np.ndarray:
+    """(n, k, 7 k) of what k legs read at poses (n,) with their base joints, platform joints and zeros, leg by leg, m/m."""
+    own = _slope(rows(of, T)[2], T)
+    return (np.eye(own.shape[1])[:, :, None] * own[:, :, None]).reshape(*own.shape[:2], -1)
+
+
+def _slope(to_base: np.ndarray, T: RigidTransform) -> np.ndarray:
+    """(n, k, 7) of what each leg reads with its own base joint, platform joint and zero. to_base : (n, k, 3), of the first"""
+    return np.concatenate([to_base, -np.einsum("nki,nij->nkj", to_base, T.as_matrix()[:, :3, :3]), -np.ones((*to_base.shape[:2], 1))], axis=2)
+
+
 def best_six(of: Legs, T: RigidTransform) -> np.ndarray:
     """(6,) indices of the legs that tell poses (n,) best: of all sixes the one whose worst-told direction, at the worst pose, is told best, each leg
     counting by its reading's error and rotations by the platform's size. Raises RigError where none of them holds the platform"""
@@ -102,7 +113,7 @@ def closures(of: Legs, read: np.ndarray, chosen: np.ndarray) -> Closures:
     by = np.zeros((len(read), len(checks), len(of.names)))  # closure per leg's reading
     by[:, np.arange(len(checks)), checks] = 1.0
     by[:, :, chosen] = -np.swapaxes(back, 1, 2)
-    slope = np.concatenate([to_base, -np.einsum("nki,nij->nkj", to_base, T.as_matrix()[:, :3, :3]), -np.ones((*to_base.shape[:2], 1))], axis=2)
+    slope = _slope(to_base, T)
     G = by[:, :, :, None] * slope[:, None]  # with base joint, platform joint and zero of every leg
     G = G.reshape(len(read), len(checks), -1)
     covariance = (by * of.sigma**2) @ np.swapaxes(by, 1, 2) + G @ of.covariance @ np.swapaxes(G, 1, 2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.certify import insitu
+from calib.certify import insitu, limb_steps
 from calib.certify.insitu import Limbs
 from calib.identify.geometry import pose_jacobian
 from calib.online import limb_source, limbs_file
@@ -24,11 +24,17 @@ from rig.recording import Sensors
 
 
 @pytest.fixture(scope="module")
-def accepted(limbed):
+def by_vision(limbed):
+    """Samples by vision of the first recording."""
+    return sample_recording(limbed[1]).samples
+
+
+@pytest.fixture(scope="module")
+def accepted(limbed, by_vision):
     """Accepted limbs of the first recording."""
     design, read, _ = limbed
     frames, lengths = insitu.readings(read)
-    samples, nominal = insitu.read(sample_recording(read).samples, frames, lengths), insitu.stated(design)
+    samples, nominal = insitu.read(by_vision, frames, lengths), insitu.stated(design)
     T, expected = insitu.held_out(samples, nominal, 1e-6)
     found = insitu.agreement(samples.T_base_platform, T, expected, (5e-5, 3e-4))
     return limbs_file.Accepted(insitu.calibrated(samples, nominal, 1e-6)[0], nominal, found, None, {"data": ["a"]})
@@ -119,6 +125,17 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
     found = limb_source.check(read, accepted, limb_source.read(read, accepted), every)
     assert found.disagreement is not None and found.disagreement.limb == limb and at <= found.frame < at + 5
     assert "30" in found.disagreement.reason or abs(float(found.disagreement.reason.split("by ")[1].split(" ")[0]) - 30) < 10
+
+
+@pytest.mark.parametrize("limb, at", [(3, 35), (6, 60)])
+def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
+    design, read, _ = limbed
+    for by in (0.0, 3e-5):
+        samples = insitu.read(by_vision, *insitu.readings(slipped(read, limb, by, at)))
+        limbs, _ = insitu.calibrated(samples, insitu.stated(design), 1e-6)
+        found = limb_steps.slip(samples, limbs, 1e-6)
+        assert (found is None) == (by == 0)
+        assert found is None or (found.limb == limb and abs(found.frame - at) <= 2 and abs(found.size - by) < 4 * found.sigma < 2e-5)
 
 
 def test_limbs_that_stay_agree_and_few_poses_are_looked_at(accepted, again):
