@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, add_recording, file_or_stdout, read_recording
 from rig.errors import RigError
-from rig.kinds import hexapod_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,6 +60,7 @@ def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray,
     from calib import store
     from calib.certify import insitu
     from calib.online import limbs_file
+    from rig.kinds import hexapod_of
     from rig.mechanisms import redundant
 
     stated, sigma = insitu.stated(recording.design), insitu.length_sigma(recording.design)
