@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
+from rig.commands.worth import say_promise, say_workspace
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -89,8 +90,6 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
         from rig.writing import write_table
 
         write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, struts_of(nominal)))
-    from rig.commands.worth import say_promise, say_workspace
-
     say_promise(arguments.promise, calibration.claim)
     say_workspace(calibration)
     print_unsolved(sampled.measurement)
