@@ -99,7 +99,7 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     >>> import rig
     >>> recording = rig.load("tests/data/bench/check")
     >>> recording.design.mechanism.kind, recording.commands.values.shape
-    ('hexapod', (12, 6))
+    ('hexapod', (14, 6))
     """
     folder = Path(folder)
     if not folder.is_dir():

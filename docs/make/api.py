@@ -10,8 +10,19 @@ ENTRIES = ("rig", "vision", "calib")
 HEAD = """# From Python
 
 Made from the code. `import rig, vision, calib` gives what stands first here; it is opened when it is first used, so that importing takes no
-time. Results show themselves in a notebook. Below the entry
-points all modules may be imported, room by room; arrays are told with shape and unit in their docstrings.
+time. Results show themselves in a notebook; three notebooks go the whole way:
+[measure and calibrate](notebooks/measure-and-calibrate.ipynb), [diagnose](notebooks/diagnose.ipynb), [certify](notebooks/certify.ipynb).
+
+    import rig, vision, calib
+
+    recording = rig.load("REC")                      # a folder, checked
+    measured = vision.measured(recording)            # poses with covariance, cameras adjusted
+    calibration = calib.calibrated(recording)        # geometry, corrections, what they are worth
+    report = calib.diagnosed(recording)              # what physics is left out
+    certificate = calib.certified(calibration, [rig.load("REC2")])
+    calib.save("calibration.json", calibration)
+
+Below the entry points all modules may be imported, room by room; arrays are told with shape and unit in their docstrings.
 """
 
 

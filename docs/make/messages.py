@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from tests.mistakes.matrix import CASES
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("rig", "vision", "calib", "synthetic")
 HEAD = """# Troubleshooting, by message
@@ -57,7 +59,9 @@ class Told:
 def page() -> str:
     """The page in Markdown."""
     parts = [HEAD, "\n## Mistakes that are recognised\n\n| message | what to do |\n|---|---|\n"]
-    parts += sorted({f"| {_cell(told.what)} | {_cell(told.do)} |\n" for told in mistakes()})
+    named = sorted({told for told in mistakes() if told.do != ".."}, key=lambda told: (told.what.startswith(".."), told.what))
+    parts += [f"| {_cell(told.what)} | {_cell(told.do)} |\n" for told in named]
+    parts.append(f"\nAmong what people did to sound recordings and what is named so (the tests do each): {'; '.join(case.name for case in CASES)}.\n")
     said, kinds = sorted(set(messages()), key=lambda m: m.words.lstrip(". ").lower()), error_kinds()
     for kind, words in kinds.items():
         mine = [m for m in said if m.kind == kind]

@@ -161,7 +161,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
         mechanism = design_file.design_of(root).mechanism
         if isinstance(mechanism, Arm):
             dynamics_file.stated(root.table("dynamics", optional=True), len(mechanism.axes))
-    return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS}
+    return {at: what for at, what in found.items() if at[1] not in TABLE_KEYS or at == ("[instrument]", "kind")}
 
 
 TABLE_KEYS = ("schema", "environment", "mechanism", "camera", "target", "platform", "actuator", "instrument", "controller", "sensors", "insitu",

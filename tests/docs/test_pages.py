@@ -34,8 +34,8 @@ def test_tables_are_current():
 def keys_read() -> set[str]:
     """Keys that stand as words in the reader's own calls."""
     found = set()
-    for name in ("design_file.py", "arm_entries.py", "camera_entries.py", "dynamics_file.py"):
-        for node in ast.walk(ast.parse((ROOT / "rig" / name).read_text())):
+    for path in (*(ROOT / "rig").glob("*_entries.py"), ROOT / "rig" / "design_file.py", ROOT / "rig" / "dynamics_file.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READERS and node.args \
                     and isinstance(node.args[0], ast.Constant):
                 found.add(node.args[0].value)

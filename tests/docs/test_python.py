@@ -1,0 +1,60 @@
+"""The Python interface: opened when it is used, what it hands on is there and told, examples in docstrings hold, results show themselves."""
+
+import doctest
+import importlib
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import calib
+import rig
+import vision
+from rig.errors import FileError
+from rig.notebook import shown
+from tests.docs.told import ROOT
+
+PACKAGES = (rig, vision, calib)
+BENCH = ROOT / "tests" / "data" / "bench" / "check"
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_all_that_is_handed_on_is_there_and_told(package):
+    for name in package.__all__:
+        assert inspect.getdoc(getattr(package, name)), f"{package.__name__}.{name}"
+        assert name in package.__doc__ or name[0].isupper(), f"{package.__name__}.{name}"
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        package.nothing  # noqa: B018
+
+
+def test_nothing_that_is_handed_on_hides_a_module():
+    for package in PACKAGES:
+        folder = ROOT / package.__name__
+        assert [name for name in package.__all__ if (folder / f"{name}.py").exists() or (folder / name).is_dir()] == []
+
+
+def test_importing_opens_nothing_that_takes_time():
+    slow = ["numpy", "scipy", "cv2", "numba", "matplotlib"]
+    words = f"import sys, rig, vision, calib; print(sorted(set({slow}) & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", words], cwd=ROOT, capture_output=True, text=True).stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("module", ["rig.recording", pytest.param("vision.recorded", marks=pytest.mark.slow)])
+def test_examples_in_docstrings_hold(module, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    done = doctest.testmod(importlib.import_module(module))
+    assert done.attempted >= 2 and done.failed == 0
+
+
+def test_a_recording_shows_itself():
+    text = rig.load(BENCH)._repr_html_()
+    assert "check: 6 frames" in text and "cam0 (" in text and "commands" in text
+    with pytest.raises(rig.RigError) as refused:
+        rig.load(BENCH / "images")
+    assert isinstance(refused.value, FileError)
+
+
+def test_what_is_shown_is_text_and_nothing_else():
+    made = shown("<b>", ["a & b"], [("h<",), ("<script>",)])
+    assert "<script>" not in made and "&lt;b&gt;" in made and "a &amp; b" in made and "<th>h&lt;</th>" in made
