@@ -12,6 +12,7 @@ from calib.certify import certificate
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Certified
 from calib.certify.claim import Claim
+from calib.chains import certify as chain_certify
 from calib.correct.physics import Physics
 from calib.diagnose.problems.arm.diagnose import diagnose as diagnose_arm
 from calib.diagnose.problems.platform.diagnose import diagnose as diagnose_platform
@@ -23,7 +24,7 @@ from calib.pose_covariance import with_workspace
 from calib.statement import certificate as statement
 from calib.statement.certificate import Asked, Certificate
 from rig.errors import RigError
-from rig.kinds import arm_of, struts_of
+from rig.kinds import arm_of, chain_of, struts_of
 from rig.provenance import flat, marks, shared
 from rig.recording import Recording
 
@@ -43,12 +44,16 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
         if recording.design.mechanism.kind == "arm":
             found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
             return kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
+        if recording.design.mechanism.kind == "chain":
+            together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+            return kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
         done = certificate.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
         return kept(recording, sampled, done, certificate.promised(sampled.samples, done, rng))
 
 
-def kept(recording: Recording, sampled: Sampled, done: Certified | arm_certify.Certified, claim: Claim, arguments: Sequence[str] = (),
-         known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+def kept(recording: Recording, sampled: Sampled, done: Certified | arm_certify.Certified | chain_certify.Certified, claim: Claim,
+         arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
+         before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     """Calibration of what was found, with where it came from and what it does to the workspace.
 
     arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass

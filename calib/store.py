@@ -29,7 +29,8 @@ from calib.identify.geometry import parameters
 from calib.correct.interpolate.radial import Radial
 from calib.workspace.file import workspace_in, workspace_out
 from rig import json_file
-from rig.design import Arm, Hexapod, Planar2
+from calib.chains import model as chains
+from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.entries import LARGEST_RIG, Entries
 from rig.provenance import flat, marks, shared
 from rig.kinds import Struts, struts_of
@@ -106,8 +107,8 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
         "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
-        "parameter_order": ", ".join(names(correction.nominal)) if arm else PARAMETERS[correction.nominal.kind],
-        "parameter_covariance": calibration.covariance.tolist(), ("pose_scatter" if arm else "strut_scatter"): calibration.scatter.tolist(),
+        "parameter_order": _order(correction),
+        "parameter_covariance": calibration.covariance.tolist(), (_scatter_key(correction.nominal)): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
@@ -129,17 +130,17 @@ def load(path: Path | str) -> Calibration:
         tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
                   f"{len(nominal.axes)}")
     correction = _correction_in(tree, nominal, fitted)
-    arm = isinstance(correction, ArmCorrection)
-    count = len(names(correction.nominal)) if isinstance(correction, ArmCorrection) else len(parameters(correction.nominal))
+    nominal = correction.nominal
+    count = len((chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal))
     fit = tree.table("fit")
-    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, "pose_scatter" if arm else "strut_scatter", len(nominal.axes)),
+    return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
                        physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None,
                        workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None)
 
 
-def _correction_in(tree: Entries, nominal: Struts | Arm, fitted: Struts | Arm) -> Correction[Any, Any]:
+def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
     axes = len(nominal.axes)
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
@@ -148,8 +149,10 @@ def _correction_in(tree: Entries, nominal: Struts | Arm, fitted: Struts | Arm) -
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 
 
-def mechanism_out(mechanism: Struts | Arm) -> dict[str, Any]:
+def mechanism_out(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
     """dict of a mechanism, as JSON holds it."""
+    if isinstance(mechanism, Chain):
+        return {"kind": "chain", "stages": [mechanism_out(stage) for stage in mechanism.stages]}
     if isinstance(mechanism, Arm):
         return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
                 "tool": _pose_out(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
@@ -159,8 +162,18 @@ def mechanism_out(mechanism: Struts | Arm) -> dict[str, Any]:
             "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
 
 
-def mechanism_in(table: Entries) -> Struts | Arm:
+def mechanism_in(table: Entries) -> Struts | Arm | Chain:
     """The mechanism of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
+    if table.text("kind", ("hexapod", "planar2", "arm", "chain")) == "chain":
+        stages = table.tables("stages")
+        if len(stages) < 2:
+            table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
+        return Chain(tuple(_stage_in(stage) for stage in stages))
+    return _stage_in(table)
+
+
+def _stage_in(table: Entries) -> Struts | Arm:
+    """A mechanism that stands alone, or in a chain."""
     kind = table.text("kind", ("hexapod", "planar2", "arm"))
     if kind == "planar2":
         return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
@@ -183,6 +196,18 @@ def _slides_in(table: Entries, count: int) -> np.ndarray:
     if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):
         table.fail(f"{table.name('slides')} must list {count} times true or false", "slides")
     return np.array(listed, bool)
+
+
+def _order(correction: Correction[Any, Any]) -> str:
+    """The names of the parameters, in their order."""
+    nominal = correction.nominal
+    if isinstance(nominal, Chain):
+        return "changes from nominal: " + ", ".join(chains.names(nominal))
+    return ", ".join(names(nominal)) if isinstance(nominal, Arm) else PARAMETERS[nominal.kind]
+
+
+def _scatter_key(nominal: Struts | Arm | Chain) -> str:
+    return "pose_scatter" if isinstance(nominal, Arm | Chain) else "strut_scatter"
 
 
 def _pose_out(T: RigidTransform) -> dict[str, list[float]]:

@@ -1,13 +1,13 @@
 """What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.controller import Controller
 from rig.errors import RigError
+from rig.geometry import Arm, Chain, Free, Hexapod, Planar2, freeze
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -17,112 +17,6 @@ DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     "DICT_ARUCO_ORIGINAL": 1024, "DICT_ARUCO_MIP_36h12": 250, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35,
     "DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587,
 }
-
-
-def _array(value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
-    array = np.array(value, float)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape)):
-        raise ValueError(f"{what}: expected shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{what}: not finite: {array.tolist()}")
-    array.setflags(write=False)
-    return array
-
-
-def _set(self: Any, name: str, shape: tuple[int | None, ...]) -> None:
-    object.__setattr__(self, name, _array(getattr(self, name), shape, name))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hexapod:
-    """Gough-Stewart platform: six struts of variable length between a base and a platform.
-
-    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame
-    strut_range : (6, 2) m, shortest and longest commanded length; home : T_base_platform
-    strut_zeros : (6,) m, what a strut is longer than its command says (zero as the owner believes it)
-    """
-
-    base_joints: np.ndarray
-    platform_joints: np.ndarray
-    strut_range: np.ndarray
-    home: RigidTransform
-    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
-    kind: ClassVar[Literal["hexapod"]] = "hexapod"
-
-    def __post_init__(self) -> None:
-        for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("strut_range", (6, 2)), ("strut_zeros", (6,))):
-            _set(self, name, shape)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the commanded axes, as commands.csv heads its columns."""
-        return tuple(f"l{i + 1}" for i in range(6))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Planar2:
-    """Two struts from two base joints to one common hinge in the plane z = 0 (configuration-space patent, fig. 1).
-
-    base_joints : (2, 2) m; strut_range : (2, 2) m; strut_zeros : (2,) m. The hinge is on the left of base joint 1 -> 2.
-    """
-
-    base_joints: np.ndarray
-    strut_range: np.ndarray
-    strut_zeros: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    kind: ClassVar[Literal["planar2"]] = "planar2"
-
-    def __post_init__(self) -> None:
-        for name, shape in (("base_joints", (2, 2)), ("strut_range", (2, 2)), ("strut_zeros", (2,))):
-            _set(self, name, shape)
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the commanded axes, as commands.csv heads its columns."""
-        return ("l1", "l2")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Arm:
-    """Serial arm: T_base_platform = base A_1(q_1) .. A_n(q_n) tool.
-
-    joints : (n, 4 or 5) theta (rad), d (m), a (m), alpha (rad), optional Hayati beta (rad): distal Denavit-Hartenberg,
-    A_i = Rot_z(theta_i + q_i) Trans_z(d_i) Trans_x(a_i) Rot_x(alpha_i) Rot_y(beta_i); limits : (n, 2) rad
-    base : where the arm's own frame 0 stands in the frame of poses; tool : the platform (hand, target) in frame n
-    slides : (n,) bool, joints that are prismatic: Rot_z(theta_i) Trans_z(d_i + q_i), q_i and its limits in m; none by default
-    """
-
-    joints: np.ndarray
-    limits: np.ndarray
-    base: RigidTransform = field(default_factory=RigidTransform.identity)
-    tool: RigidTransform = field(default_factory=RigidTransform.identity)
-    slides: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    kind: ClassVar[Literal["arm"]] = "arm"
-
-    def __post_init__(self) -> None:
-        _set(self, "joints", (None, None))
-        if self.joints.shape[1] not in (4, 5):
-            raise ValueError(f"joints: expected rows of 4 or 5 figures, got {self.joints.shape[1]}")
-        _set(self, "limits", (len(self.joints), 2))
-        slides = self.slides if np.size(self.slides) else np.zeros(len(self.joints))
-        object.__setattr__(self, "slides", _array(slides, (len(self.joints),), "slides") > 0)
-
-    @property
-    def rows(self) -> np.ndarray:
-        """(n, 5) theta, d, a, alpha, beta; beta is 0 where it is not stated."""
-        return np.pad(self.joints, ((0, 0), (0, 5 - self.joints.shape[1])))
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the commanded axes, as commands.csv heads its columns."""
-        return tuple(f"q{i + 1}" for i in range(len(self.joints)))
-
-
-@dataclass(frozen=True, slots=True)
-class Free:
-    """Moved by hand or by somebody else: there is nothing to command."""
-
-    kind: ClassVar[Literal["free"]] = "free"
-    axes = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +47,7 @@ class MeasuringLimbs:
 
     def __post_init__(self) -> None:
         for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("zeros", (6,))):
-            _set(self, name, shape)
+            freeze(self, name, shape)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,8 +101,8 @@ class Camera:
     source: str | None = None
 
     def __post_init__(self) -> None:
-        _set(self, "matrix", (3, 3))
-        _set(self, "distortion", (None,))
+        freeze(self, "matrix", (3, 3))
+        freeze(self, "distortion", (None,))
         if len(self.distortion) not in DISTORTION_TERMS:
             raise ValueError(f"distortion: expected {DISTORTION_TERMS} terms, got {len(self.distortion)}")
 
@@ -275,7 +169,7 @@ class Design:
 
     name: str
     gravity: np.ndarray
-    mechanism: Hexapod | Planar2 | Arm | Free
+    mechanism: Hexapod | Planar2 | Arm | Chain | Free
     instrument: Instrument | None
     actuator: Actuator
     platform: Platform

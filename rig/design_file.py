@@ -10,7 +10,7 @@ import numpy as np
 
 from rig import arm_entries, camera_entries
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Design, Free, Hexapod, Marker, MeasuringLimbs,
+from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
                         Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
@@ -69,10 +69,22 @@ def design_of(root: Entries) -> Design:
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None)
 
 
-def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Free:
-    kind = table.text("kind", ("hexapod", "planar2", "arm", "free"))
+def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
+    kind = table.text("kind", ("hexapod", "planar2", "arm", "chain", "free"))
     if kind == "free":
         return Free()
+    if kind == "chain":
+        table.refuse_misspelt(("kind", "stage"))
+        stages = [_stage(one) for one in table.tables("stage")]
+        if len(stages) < 2:
+            table.fail(f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}", "kind")
+        return Chain(tuple(stages))
+    return _stage(table)
+
+
+def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
+    """A mechanism that stands alone or in a chain."""
+    kind = table.text("kind", ("hexapod", "planar2", "arm"))
     if kind == "arm":
         joints, slides = arm_entries.joints(table)
         return Arm(joints, arm_entries.limits(table, slides), slides=slides)
@@ -85,9 +97,9 @@ def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Free:
     lengths = np.linalg.norm(hexapod.home.apply(platform) - base, axis=1)
     for i, (length, (low, high)) in enumerate(zip(lengths, hexapod.strut_range)):
         if not low <= length <= high:
-            table.fail(f"mechanism.home needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
+            table.fail(f"{table.name('home')} needs strut {i + 1} at {length:.6f} m, outside its strut_range {low:g} .. {high:g} m", "home")
     if singular(hexapod):
-        table.fail(f"mechanism.home {singular(hexapod)}", "home")
+        table.fail(f"{table.name('home')} {singular(hexapod)}", "home")
     return hexapod
 
 
@@ -107,7 +119,7 @@ def _actuator(table: Entries) -> Actuator:
                     table.number("max_speed", None, above=0, most=100, unit="m/s"))
 
 
-def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Free, actuator: Actuator) -> Controller:
+def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Free, actuator: Actuator) -> Controller:
     table.refuse_misspelt([field.name for field in fields(Controller)])
     n = len(mechanism.axes)
     if mechanism.kind not in ("hexapod", "planar2"):

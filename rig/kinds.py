@@ -1,9 +1,9 @@
 """What kind of mechanism a machine has: told by its type, or refused."""
 
-from rig.design import Arm, Free, Hexapod, Planar2
+from rig.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.errors import RigError
 
-Mechanism = Hexapod | Planar2 | Arm | Free
+Mechanism = Hexapod | Planar2 | Arm | Chain | Free
 Struts = Hexapod | Planar2  # what moves a platform, or a hinge, on struts
 
 
@@ -28,7 +28,14 @@ def arm_of(mechanism: Mechanism) -> Arm:
     return mechanism
 
 
-def axes_of(mechanism: Mechanism) -> Hexapod | Planar2 | Arm:
+def chain_of(mechanism: Mechanism) -> Chain:
+    """The mechanism, which is a chain of others. Raises RigError for another kind."""
+    if not isinstance(mechanism, Chain):
+        raise RigError(f"this takes a chain of mechanisms, not a mechanism of kind {mechanism.kind!r}")
+    return mechanism
+
+
+def axes_of(mechanism: Mechanism) -> Hexapod | Planar2 | Arm | Chain:
     """The mechanism, which has axes to command. Raises RigError for a body that is moved by hand."""
     if isinstance(mechanism, Free):
         raise RigError("this takes a machine with axes, not a body that is moved by hand")

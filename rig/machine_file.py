@@ -3,18 +3,20 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rig import json_file
-from rig.design import Arm, Camera, Design, Free, Hexapod, Planar2
+from rig.design import Arm, Camera, Chain, Design
 from rig.effects.base import Effect
 from rig.effects.parse import from_dict, placed, to_dict
 from rig.entries import LARGEST_RIG, Entries
 from rig.errors import FileError, RigError
+from rig.kinds import Mechanism
 from rig.pose import pose, vector
 
-GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",)}
+GEOMETRY = {"hexapod": ("base_joints", "platform_joints", "strut_zeros"), "planar2": ("base_joints", "strut_zeros"), "arm": ("joints",), "chain": ()}
 PLACES = ("base", "tool")  # of an arm, as poses
 LIMBS = ("base_joints", "platform_joints", "zeros")
 
@@ -22,12 +24,18 @@ LIMBS = ("base_joints", "platform_joints", "zeros")
 def tree(design: Design, effects: Iterable[Effect]) -> dict:
     """{"effects", geometry by name, "cameras", "insitu" where there are measuring limbs} of a design as it is."""
     m = design.mechanism
-    out = {"effects": [to_dict(effect) for effect in effects], **{name: getattr(m, name).tolist() for name in GEOMETRY[m.kind]}}
-    if m.kind == "arm":
-        out |= {"joints": m.rows.tolist(), **{name: vector(getattr(m, name)).tolist() for name in PLACES}}
+    out = {"effects": [to_dict(effect) for effect in effects], **_geometry(m)}
     out["cameras"] = [{"name": c.name, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "pose": vector(c.pose).tolist()}
                       for c in design.cameras]
     return out | ({"insitu": {name: getattr(design.insitu, name).tolist() for name in LIMBS}} if design.insitu is not None else {})
+
+
+def _geometry(m: Mechanism) -> dict[str, Any]:
+    """Geometry by name; of a chain that of each stage."""
+    if isinstance(m, Chain):
+        return {"stages": [_geometry(stage) for stage in m.stages]}
+    own = {name: getattr(m, name).tolist() for name in GEOMETRY.get(m.kind, ())}
+    return own | {"joints": m.rows.tolist(), **{name: vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
 
 
 def load(path: Path, stated: Design) -> tuple[Design, tuple[Effect, ...]]:
@@ -47,8 +55,13 @@ def load(path: Path, stated: Design) -> tuple[Design, tuple[Effect, ...]]:
     return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated)
 
 
-def _mechanism(stated: Hexapod | Planar2 | Arm | Free, table: Entries) -> Hexapod | Planar2 | Arm | Free:
+def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
     """The mechanism of such a file, as far as it says; the rest as stated."""
+    if isinstance(stated, Chain):
+        parts = table.tables("stages")
+        if len(parts) != len(stated.stages):
+            table.fail(f"{table.name('stages')} must hold {len(stated.stages)} stages, got {len(parts)}", "stages")
+        return replace(stated, stages=tuple(_mechanism(stage, part) for stage, part in zip(stated.stages, parts)))  # type: ignore[misc]
     found = {}
     for name in GEOMETRY.get(stated.kind, ()):
         if name in table.tree:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.design import Arm, Design, Hexapod, Planar2
+from rig.design import Arm, Chain, Design, Hexapod, Planar2
 from rig.errors import RigError
 from rig.machine_file import GEOMETRY, PLACES
 from rig.pose import exp, pose
@@ -17,7 +17,7 @@ STOOD = (3e-3, 5e-3)  # m, rad, of where an arm that cameras see stands, and of 
 AWAY, HAND = 1.0, 0.1  # m, of where an instrument stands and of its target on the hand, where nobody knows
 
 
-def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm:
+def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Planar2 | Arm | Chain:
     """The mechanism of a stated design as it really is. size : multiplies every deviation. Raises RigError for what cannot be simulated."""
     m = stated.mechanism
     if m.kind == "hexapod":
@@ -29,6 +29,8 @@ def drawn(stated: Design, rng: np.random.Generator, size: float) -> Hexapod | Pl
                        strut_zeros=m.strut_zeros + size * ZERO * rng.normal(size=2))
     if m.kind == "arm":
         return _arm(m, stated, rng, size)
+    if isinstance(m, Chain):
+        return replace(m, stages=tuple(drawn(replace(stated, mechanism=stage, cameras=()), rng, size) for stage in m.stages))  # type: ignore[misc]
     raise RigError(f"a mechanism of kind {m.kind!r} cannot be simulated; {', '.join(GEOMETRY)} can")
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import FACES, Arm, Design, Free, Hexapod, Planar2, Target
-from rig.kinds import Struts, hexapod_of
+from rig.design import FACES, Design, Hexapod, Planar2, Target
+from rig.kinds import Mechanism, Struts, hexapod_of
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
@@ -81,7 +81,7 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
     return found + _surroundings(design, background, rng)
 
 
-def body_poses(mechanism: Hexapod | Planar2 | Arm | Free, T_base_platform: RigidTransform) -> dict[str, np.ndarray]:
+def body_poses(mechanism: Mechanism, T_base_platform: RigidTransform) -> dict[str, np.ndarray]:
     """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks."""
     poses = {"world": np.eye(4), "base": np.eye(4), "platform": T_base_platform.as_matrix()}
     if isinstance(mechanism, Hexapod | Planar2):

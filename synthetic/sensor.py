@@ -40,8 +40,8 @@ def expose(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, sampl
 
 @lru_cache
 def _disc(radius: float) -> np.ndarray:
-    """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers."""
-    reach, fine = int(np.ceil(radius + 0.5)), 16
+    """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone where it is a point."""
+    reach, fine = int(np.ceil(radius + 0.5)), 17  # odd, so that the middle is looked at: the smallest disc covers that
     at = (np.arange((2 * reach + 1) * fine) + 0.5) / fine - reach - 0.5
     inside = (at[:, None] ** 2 + at**2 <= radius**2).astype(np.float32)
     kernel = inside.reshape(2 * reach + 1, fine, 2 * reach + 1, fine).mean(axis=(1, 3))

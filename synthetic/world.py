@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine_file, mechanisms
-from rig.design import Arm, Camera, Design, Hexapod, Planar2
+from rig.design import Arm, Camera, Chain, Design, Hexapod, Planar2
 from rig.effects.base import Effect
 from rig.files import write_text
 from rig.pose import exp
@@ -56,7 +56,7 @@ def _camera(camera: Camera, rng: np.random.Generator, size: float) -> Camera:
     return replace(camera, pose=moved, matrix=matrix, distortion=camera.distortion + terms)
 
 
-def struts_of(mechanism: Hexapod | Planar2 | Arm) -> int:
+def struts_of(mechanism: Hexapod | Planar2 | Arm | Chain) -> int:
     """How many struts a mechanism has: none for an arm."""
     return len(mechanism.axes) if mechanisms.of(mechanism).AXIS == "strut" else 0
 

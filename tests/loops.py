@@ -12,16 +12,21 @@ def rig(*words):
     assert cli.main([str(word) for word in words]) == 0, words
 
 
+def calibrated(folder, capfd, *words):
+    """Calibrate a folder's rec into its calibration.json, by way of the standard output: no page is drawn."""
+    capfd.readouterr()
+    rig("calibrate", folder / "rec", "--out", "-", *words)
+    said = capfd.readouterr().out
+    (folder / "calibration.json").write_text(said[said.index("{\n") : said.rindex("}") + 1])
+
+
 def verified(folder, capfd, poses, drive=(), calibrate=()):
     """What `rig verify --json` says of wanted poses, driven and measured.
 
     folder : with rig.toml, the recording rec and its truth.json; poses : lines of wanted poses; drive : options of the simulated drive
     """
     (folder / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "\n".join(poses) + "\n")
-    capfd.readouterr()
-    rig("calibrate", folder / "rec", "--out", "-", *calibrate)  # no page is drawn
-    said = capfd.readouterr().out
-    (folder / "calibration.json").write_text(said[said.index("{\n") : said.rindex("}") + 1])
+    calibrated(folder, capfd, *calibrate)
     rig("correct", folder / "calibration.json", "--poses", folder / "wanted.csv", "--out", folder / "commands.csv")
     rig("simulate", folder / "rig.toml", "--machine", folder / "truth.json", "--plan", f"commands:{folder / 'commands.csv'}", "--seed", "99",
         *drive, "--out", folder / "drive", "--truth", folder / "drive.json")

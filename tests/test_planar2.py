@@ -8,7 +8,7 @@ import pytest
 from rig import design_file
 from rig.mechanisms import planar
 from rig.plan import low_discrepancy
-from tests.loops import holds, lines, rig, verified
+from tests.loops import calibrated, holds, lines, rig, verified
 
 
 def recorded(folder, *words, plan="sobol:24", size="640x512"):
@@ -36,13 +36,13 @@ def test_a_loop_closes_from_corners(tmp_path, capfd):
 def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
     """The source's way: two lengths of either strut, on the owner's model alone, [0082] to [0091]."""
     recorded(tmp_path, "--noise", "0.001", plan="division:1")
-    rig("calibrate", tmp_path / "rec", "--extend", "linear", "--alone", "--out", tmp_path / "calibration.json")
-    assert "exact at its 4 samples" in capfd.readouterr().out
+    calibrated(tmp_path, capfd, "--extend", "linear", "--alone")
     rig("verify", tmp_path / "calibration.json", tmp_path / "rec", "--json")
     found = json.loads(capfd.readouterr().out)
     assert found["after"]["position"]["max"] < 1e-9 < 1e-4 < found["before"]["position"]["rms"]
 
 
+@pytest.mark.slow
 def test_what_holds_a_strut_back_is_found_at_that_strut(tmp_path):
     recorded(tmp_path, "--effect", "backlash:strut2:gap=3e-4", plan="sobol:30,ladder:3")
     rig("diagnose", tmp_path / "rec", "--only", "backlash", "--out", tmp_path / "found")

@@ -11,6 +11,7 @@ from rig.mechanisms import arm
 from rig.configurations import low_discrepancy
 from rig.pose import difference
 from synthetic.world import from_truth
+from vision.recorded import measure_recording
 from tests.loops import holds, lines, rig, verified
 
 
@@ -39,11 +40,11 @@ def test_a_loop_closes_with_base_and_hand_solved_for(tmp_path, capfd, carried, c
 def test_where_the_hand_is_is_the_inverse_of_where_the_base_is_seen(tmp_path):
     """Measured poses and their covariance, against the true ones: the camera stands in the hand elsewhere than stated, the same in every frame."""
     recorded(tmp_path, "hand", cameras=1, plan="sobol:24")
-    rig("measure", tmp_path / "rec", "--out", tmp_path / "out")
-    rec, poses = recording.load(tmp_path / "rec"), recording.load_poses(tmp_path / "out" / "poses.csv")
+    rec = recording.load(tmp_path / "rec")
+    poses, _ = measure_recording(rec)
     world = from_truth(tmp_path / "truth.json", rec.design)
     frames, t = rec.exposures.times()
-    true = machine.run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frame)]
+    true = machine.run(world.true, rec.commands, t, (), rec.sensors).T_base_platform[np.searchsorted(frames, poses.frames)]
     held = world.true.cameras[0].pose * rec.design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
     off = difference(true * held, poses.T_base_platform)
     z = np.einsum("ni,nij,nj->n", off, np.linalg.inv(poses.covariance), off)

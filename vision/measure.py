@@ -12,6 +12,7 @@ from rig.notebook import shown
 from rig.recording import Corners
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.robust import adjust_robustly, standing_error
+from vision.bundle.variance import printed
 from vision.observations import Observations, only
 from vision.pose.frames import Frames, Views, locate_frames, related, resect
 from vision.pose.locate import FINEST
@@ -111,11 +112,12 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
                               progress and partial(progress, "adjusting"))
         covariance = fit.covariance
         cameras, markers = fit.adjustment.state.cameras, fit.adjustment.state.placed
+    fit = fit if places else printed(observations, fit, tuple(free))
     solved, keep = fit.solved, np.isin(observations.frame, fit.solved)
     observations = replace(observations, covariance=fit.covariance)
     kept, good = only(observations, solved), fit.inliers[keep]
     weights, standing = standing_error(kept, good, fit.adjustment.state)
-    result = adjust(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated)
+    result = adjust(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
     numbers, common = observations.frames[solved], result.platform_common
     residuals = np.full((len(observations), 2), np.nan)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]

@@ -18,7 +18,7 @@ from vision.measure import Measurement
 
 K = 2.0
 PARTS = (slice(0, 3), slice(3, 6))
-PLACE = ("x", "y", "z", "rx", "ry", "rz")  # of a camera; its other unknowns are its lens
+PLACE = ("x", "y", "z", "rx", "ry", "rz")  # of a camera; its other unknowns are its lens, but for how markers are printed
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[tup
         if measurement is None:
             return None, None
         adjustment = measurement.adjustment
-        lens = adjustment.shared_factor[np.array([part not in PLACE for _, part in adjustment.shared_names], bool)]
+        lens = adjustment.shared_factor[np.array([part not in PLACE for _, part in adjustment.shared_names], bool) & ~adjustment.of_prints]
         left = samples.common @ (np.eye(samples.common.shape[2]) - np.linalg.pinv(lens) @ lens)
         whole, cameras_own = rms(samples.common @ np.swapaxes(samples.common, 1, 2)), rms(left @ np.swapaxes(left, 1, 2))
         shares[0].append(cameras_own)

@@ -62,7 +62,7 @@ def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace
     if given is not None:
         return Commanded(given, route, None, ())
     values = held(of, T, route, plain) if of.effects else plain
-    if calibration.correction.fitted.kind == "arm":
+    if calibration.correction.fitted.kind in ("arm", "chain"):
         return Commanded(values, route, None, ())
     back = to_pose(T, calibration.correction.fitted)
     base = _covariance(calibration, of, T, route, values)

@@ -4,7 +4,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.samples import Samples, blocks, precision
-from rig.design import Arm
+from rig import mechanisms
+from rig.design import Arm, Chain
 from rig.kinds import Struts
 from rig.pose import difference, exp
 
@@ -28,9 +29,9 @@ def labels(commanded: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     return out
 
 
-def ranges(mechanism: Struts | Arm) -> np.ndarray:
+def ranges(mechanism: Struts | Arm | Chain) -> np.ndarray:
     """(axes, 2) m or rad, from where to where each axis of a mechanism goes."""
-    return mechanism.limits if isinstance(mechanism, Arm) else mechanism.strut_range
+    return mechanisms.of(mechanism).travel(mechanism)
 
 
 def folds(label: np.ndarray, count: int) -> np.ndarray:

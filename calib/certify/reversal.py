@@ -13,8 +13,8 @@ from calib.certify.held_poses import HeldPoses
 from calib.correct.correction import Correction
 from calib.identify.geometry import strut_jacobian
 from rig import mechanisms
-from rig.design import Arm
-from rig.mechanisms import arm
+from rig.design import Arm, Chain
+from rig.mechanisms import arm, chain
 
 POSITIONS, CYCLES = 5, 5  # of ISO 230-2
 
@@ -61,6 +61,8 @@ def _to_axes(correction: Correction, poses: HeldPoses) -> np.ndarray:
     """(n, axes, 6) change of the axes with the pose's tangent."""
     if isinstance(correction.fitted, Arm):
         return np.linalg.pinv(arm.jacobian(poses.commanded, correction.fitted))
+    if isinstance(correction.fitted, Chain):
+        return np.linalg.pinv(chain.jacobian(poses.commanded, correction.fitted))
     return strut_jacobian(poses.T_base_platform, correction.fitted)
 
 

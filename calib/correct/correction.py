@@ -23,7 +23,7 @@ from calib.correct.interpolate.simplex import Simplex
 from calib.correct.posed import PoseMap
 from calib.samples import Samples
 from rig import mechanisms
-from rig.design import Arm, Hexapod, Planar2
+from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.errors import NotConverged, Unreachable
 from rig.kinds import Struts, struts_of
 
@@ -32,7 +32,7 @@ TOLERANCE = 1e-12  # m
 ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 
-M = TypeVar("M", bound=Hexapod | Planar2 | Arm)
+M = TypeVar("M", bound=Hexapod | Planar2 | Arm | Chain)
 R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
 
 
@@ -159,7 +159,7 @@ def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.
             commands = rest
 
 
-def reachable(commands: np.ndarray, mechanism: Struts | Arm, labels: Sequence[str]) -> None:
+def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
     places = mechanisms.places(mechanism)
     shown = [(1e3, "mm") if unit == "m" else (float(np.degrees(1.0)), "degrees") for unit in mechanisms.units(mechanism)]

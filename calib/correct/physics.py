@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine
-from rig.design import Actuator, Arm, Design, Platform
+from rig.design import Actuator, Arm, Chain, Design, Platform
 from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.coordinate import Coordinate, coordinates_of
 from rig.kinds import Struts
@@ -47,7 +47,7 @@ class Physics:
         """[Coordinate] of the effects' parameters, in the order of the covariance."""
         return coordinates_of(self.effects)
 
-    def machine(self, mechanism: Struts | Arm) -> Design:
+    def machine(self, mechanism: Struts | Arm | Chain) -> Design:
         """Design of a mechanism with what effects look at besides; it has no cameras."""
         return Design("", self.gravity, mechanism, None, self.actuator, self.platform, (), ())
 
@@ -74,7 +74,7 @@ class Physics:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""
         return tuple(e for e in self.effects if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters))
 
-    def known(self, mechanism: Struts | Arm, commands: Commands, t: np.ndarray, T: RigidTransform, sensors: Sensors | None) -> np.ndarray:
+    def known(self, mechanism: Struts | Arm | Chain, commands: Commands, t: np.ndarray, T: RigidTransform, sensors: Sensors | None) -> np.ndarray:
         """(n, axes) m by which axes stand beyond commands at times t (n,) s and poses T (n,), as far as this physics says."""
         there, _ = self.sensed(sensors, t)
         return machine.effective(self.machine(mechanism), commands, t, T, self.undone(), there) - commands.at(t)

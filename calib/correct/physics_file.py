@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from calib.correct.physics import Physics, Unknown
-from rig.design import Actuator, Arm, Platform
+from rig.design import Actuator, Arm, Chain, Platform
 from rig.effects.coordinate import coordinates_of
 from rig.effects.parse import from_dict, placed, to_dict
 from rig.entries import Entries
@@ -33,7 +33,7 @@ def _told(effect: int, name: str, index: int | None, role: str, physics: Physics
     return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
 
 
-def physics_in(table: Entries, mechanism: Struts | Arm, count: int) -> Physics:
+def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int) -> Physics:
     """Physics of what `physics_out` gave, as Entries. mechanism : nominal; count : of the geometry's parameters. Raises FileError."""
     actuator, platform = table.table("actuator"), table.table("platform")
     held = Physics((), np.zeros((0, 0)), np.zeros((count, 0)), table.array("gravity", (3,)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs
 from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
+from rig.commands.worth import say_promise, say_workspace
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from calib.arms.certify import Certified as ArmCertified
+    from calib.chains.certify import Certified as ChainCertified
     from calib.certify.certificate import Certified
     from calib.certify.claim import Claim
     from calib.correct.physics import Physics
@@ -63,7 +65,8 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
     nominal = recording.design.mechanism
-    values = None if page is None or nominal.kind == "arm" else arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out)))
+    told = page is not None and nominal.kind not in ("arm", "chain")
+    values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
 
     import numpy as np
 
@@ -73,9 +76,11 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     extending.refuse_mixed(arguments)
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
+    elif arguments.joint and nominal.kind in ("arm", "chain"):
+        raise RigError(f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} takes none of it")
+    elif nominal.kind == "chain":
+        calibration = _chain(recording, sampled, (out, page), arguments.argv, rng, progress)
     elif nominal.kind == "arm":
-        if arguments.joint:
-            raise RigError("--joint solves a hexapod's cameras and struts together; an arm has none")
         calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
         taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
@@ -85,8 +90,8 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
         from rig.writing import write_table
 
         write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, struts_of(nominal)))
-    _say_promise(arguments.promise, calibration.claim)
-    _say_workspace(calibration)
+    say_promise(arguments.promise, calibration.claim)
+    say_workspace(calibration)
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
@@ -94,8 +99,8 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
 def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
     """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
     asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
-    if asked and recording.design.mechanism.kind == "arm":
-        raise RigError(f"{asked} is for platforms on struts; an arm's joints are corrected over its configuration space")
+    if asked and recording.design.mechanism.kind in ("arm", "chain"):
+        raise RigError(f"{asked} is for platforms on struts; an arm's joints are corrected over its configuration space, a chain by its geometry")
     if asked and arguments.joint:
         raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
     if asked and arguments.limbs:
@@ -242,6 +247,23 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     return calibration
 
 
+def _chain(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator,
+           progress: Progress) -> Calibration:
+    from calib.chains.certify import certify, promised
+    from calib.chains.report import calibration_page
+    from rig.kinds import chain_of
+
+    done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
+    claim = promised(sampled.samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, argv, done, claim)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done), claim, progress)
+    if done.held_out:
+        print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
+    print("\n".join(done.found.report()))
+    _print_poses(sampled, done)
+    return calibration
+
+
 def _shown(page: Path | None, draw: Callable[[Path], None], claim: Claim, progress: Progress) -> None:
     """Draw the page, where there is one, and print the verdict, first of all."""
     from calib.certify.verdict import verdict
@@ -253,32 +275,12 @@ def _shown(page: Path | None, draw: Callable[[Path], None], claim: Claim, progre
     print("\n".join(verdict(claim)))
 
 
-def _print_poses(sampled: Sampled, done: Certified | ArmCertified) -> None:
+def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:
     print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
           "them agree with one geometry")
 
 
-def _say_promise(promise: float | None, claim: Claim | None) -> None:
-    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
-    if promise is None or claim is None:
-        return
-    if claim.after is None:
-        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
-        return
-    middle, _, most = claim.after[0]
-    met = "is met" if most <= promise else "is NOT met yet; rig plan --promise --given the recording names the next best poses"
-    print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
-
-
-def _say_workspace(calibration: Calibration) -> None:
-    from calib.workspace.words import lines
-    from rig import mechanisms
-
-    if calibration.workspace is not None:
-        print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
-
-
-def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified, claim: Claim,
+def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified | ChainCertified, claim: Claim,
             known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     from calib import store
     from calib.from_recordings import kept

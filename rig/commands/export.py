@@ -11,7 +11,7 @@ from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from rig.design import Arm, Free, Hexapod, Planar2
+    from rig.design import Arm, Hexapod
     from rig.kinds import Mechanism
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
@@ -103,7 +103,7 @@ def _tables(arguments: Namespace) -> None:
           f"{np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction; written: {arguments.out}")
 
 
-def _machine(path: Path) -> tuple[Hexapod | Planar2 | Arm | Free, list[int], float | None]:
+def _machine(path: Path) -> tuple[Mechanism, list[int], float | None]:
     """(mechanism, numbers of the axes that are corrected beyond it, the screws' lead in m or None) of a calibration.json or a rig.toml."""
     if path.suffix == ".toml":
         from rig import design_file

@@ -77,9 +77,8 @@ def run(arguments: Namespace) -> None:
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> tuple[Figures, tuple[float, float]]:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
-    from calib.arms import certify
-    from calib.certify.certificate import model_covariance
     from calib.certify.held_out import figures
+    from calib.pose_covariance import pose_covariance
     from calib.samples import uncertainty
     from rig.pose import difference
 
@@ -87,8 +86,7 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     if len(frames) != len(wanted.frame):
         raise RigError(f"{len(wanted.frame)} poses were wanted, but the recording has {len(frames)} frames")
     T = wanted.T_base_platform[[frames.index(frame) for frame in samples.frame]]
-    arm = calibration.correction.nominal.kind == "arm"
-    of_model = certify.model_covariance(calibration, samples.commanded) if arm else model_covariance(calibration, T)
+    of_model = pose_covariance(calibration, T, samples.commanded)
     if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
         of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model

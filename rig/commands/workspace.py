@@ -36,6 +36,8 @@ def run(arguments: Namespace) -> None:
     if arguments.out is not None and arguments.out.suffix:
         raise RigError(f"{arguments.out}: --out takes a folder, for three files")
     calibration = store.load(arguments.calibration)
+    if calibration.correction.nominal.kind == "chain":
+        raise RigError(f"{arguments.calibration} is of a chain, which comes to most poses in many ways: it has no map of its workspace")
     if calibration.workspace is None:
         print(f"{arguments.calibration} was made before a calibration held its workspace: worked out now")
         calibration = with_workspace(calibration)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
-from rig.design import Actuator, Arm, Hexapod, Planar2, Platform
+from rig.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
 from rig.errors import RigError
 from rig.mechanisms.kind import Kind
 from rig.recording import Sensors
@@ -92,7 +92,7 @@ class Motion:
     kept : what several effects (or an effect again and again) ask for, worked out once
     """
 
-    mechanism: Hexapod | Planar2 | Arm
+    mechanism: Hexapod | Planar2 | Arm | Chain
     platform: Platform
     actuator: Actuator
     gravity: np.ndarray

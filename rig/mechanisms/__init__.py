@@ -2,38 +2,43 @@
 
 from typing import Any
 
-from rig.design import Arm, Free, Hexapod, Planar2
+from rig.design import Arm, Chain, Free, Hexapod, Planar2
 from rig.errors import RigError
-from rig.mechanisms import arm, hexapod, planar
+from rig.mechanisms import arm, chain, hexapod, planar
 from rig.mechanisms.kind import Kind
 
-ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": planar, "arm": arm}
+ALL: dict[str, Kind[Any]] = {"hexapod": hexapod, "planar2": planar, "arm": arm, "chain": chain}
 
 
-def of(mechanism: Hexapod | Planar2 | Arm | Free) -> Kind[Any]:
-    """The module that moves a mechanism (Hexapod, Planar2, Arm). Raises RigError for a kind that has no kinematics here."""
+def of(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> Kind[Any]:
+    """The module that moves a mechanism (Hexapod, Planar2, Arm, Chain). Raises RigError for a kind that has no kinematics here."""
     if mechanism.kind not in ALL:
         raise RigError(f"no kinematics for a mechanism of kind {mechanism.kind!r}; there are {', '.join(ALL)}")
     return ALL[mechanism.kind]
 
 
-def places(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
-    """The places of a mechanism's axes: "strut 1" .. or "joint 1" .., an arm's prismatic joint "slide 3"; none for what nobody commands."""
+def places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
+    """The places of a mechanism's axes: "strut 1" .. or "joint 1" .., an arm's prismatic joint "slide 3", a chain's "stage 2 strut 1"; none for
+    what nobody commands."""
     if not mechanism.axes:
         return ()
+    if isinstance(mechanism, Chain):
+        return tuple(f"stage {k + 1} {place}" for k, stage in enumerate(mechanism.stages) for place in places(stage))
     words = ["slide" if slide else arm.AXIS for slide in mechanism.slides] if isinstance(mechanism, Arm) else \
         [of(mechanism).AXIS] * len(mechanism.axes)
     return tuple(f"{word} {i + 1}" for i, word in enumerate(words))
 
 
-def unit(mechanism: Hexapod | Planar2 | Arm | Free) -> str:
+def unit(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> str:
     """Unit of the axes' travel, "m" or "rad", of an arm that has both "rad or m"."""
     return " or ".join(dict.fromkeys(sorted(units(mechanism), reverse=True)))
 
 
-def units(mechanism: Hexapod | Planar2 | Arm | Free) -> tuple[str, ...]:
+def units(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]:
     """Unit of each axis' travel, "m" or "rad"; none for what nobody commands."""
     if not mechanism.axes:
         return ()
+    if isinstance(mechanism, Chain):
+        return tuple(one for stage in mechanism.stages for one in units(stage))
     return tuple("m" if slide else arm.UNIT for slide in mechanism.slides) if isinstance(mechanism, Arm) else \
         (of(mechanism).UNIT,) * len(mechanism.axes)

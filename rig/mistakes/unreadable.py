@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rig import design_file, table
-from rig.design import Free
+from rig.design import Chain, Free
 from rig.errors import FileError, RigError
 from rig.mechanisms import arm
 from rig.mistakes import clocks, stated
@@ -50,7 +50,7 @@ def _poses(folder: Path, complaint: str) -> Iterator[Mistake]:
     if "poses.csv" not in complaint or "implausible" not in complaint:
         return
     m = design_file.load(folder / "rig.toml").mechanism
-    if isinstance(m, Free):  # moved by hand: nothing is known of its size
+    if isinstance(m, Free | Chain):  # moved by hand, or by several: nothing is known of its size as a whole
         return
     size = arm.span(m) if m.kind == "arm" else float(m.strut_range.max())
     p = table.read(folder / "poses.csv", ("x", "y", "z")).matrix(("x", "y", "z"))

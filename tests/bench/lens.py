@@ -20,7 +20,8 @@ from tests.vision.scenes import scene
 from vision.bundle.adjust import adjust
 from vision.bundle.crossvalidate import crossvalidate
 from vision.bundle.places import places
-from vision.bundle.unknowns import move, offset, unknowns
+from vision.bundle.motions import move, offset
+from vision.bundle.unknowns import unknowns
 from vision.corners.detect import detect
 from vision.lenses import board as boards
 from vision.lenses.calibration import calibrate, hold_out, observations_of

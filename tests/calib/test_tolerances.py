@@ -19,7 +19,7 @@ from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.page import diagnosis_page
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
-from calib.diagnose.tolerances import PLACES, SIDES
+from rig.tolerances import PLACES, SIDES
 from rig import effects
 from synthetic import printing
 from tests.calib.recorded import recorded

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose import tolerances
+from rig import tolerances
 from rig import cli, machine, plan, recording
 from rig.commands import blind as command, workers
 from rig.effects import ALL, BY_NAME

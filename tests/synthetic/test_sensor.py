@@ -40,6 +40,14 @@ def test_blur_and_defocus_spread_a_point_and_keep_its_light():
         assert image.sum() == pytest.approx(3000, rel=0.05)
 
 
+def test_next_to_no_defocus_is_none():
+    """A disc smaller than the grid that it is laid out on is a point."""
+    picture = np.random.default_rng(2).random((40, 50), dtype=np.float32)
+    for radius in (1e-6, 0.005, 0.02, 0.1):
+        image = expose(picture, Sensor(defocus=radius), np.random.default_rng(0), samples=2)
+        assert np.abs(image.astype(int) - expose(picture, Sensor(), np.random.default_rng(0), samples=2)).max() <= 1
+
+
 def test_vignetting_takes_its_share_from_the_corners():
     image = expose(np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0)) * (255 / 4095) - BLACK
     assert image[200, 200] == pytest.approx(230, abs=0.1) and image[0, 0] == pytest.approx(230 * 0.6, abs=0.1)

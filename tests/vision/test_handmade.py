@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from rig.pose import log
 from tests.vision.handmade import Handmade, handmade
 from vision.bundle.places import doubtful, moves
-from vision.bundle.unknowns import aligned
+from vision.bundle.motions import aligned
 from vision.measure import Measurement
 from vision.observations import from_corners
 from vision.recorded import solve

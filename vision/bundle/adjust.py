@@ -6,14 +6,17 @@ those of the platform's markers the platform frame.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rig.design import Camera
 from rig.errors import NotEnoughData, RigError
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
-from vision.bundle.unknowns import POSE_SCALE, Estimate, Unknowns, lens_prior, move, offset, to_datums, unknowns
+from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.motions import move, offset, to_datums
+from vision.bundle.printing import Printing
+from vision.bundle.unknowns import lens_prior, unknowns
 from vision.observations import Observations, Whitener, whitener
 from vision.predict import State, predict
 
@@ -38,6 +41,7 @@ class Adjustment:
     prior : (s,) standard deviation that each was given before the images, infinite for none
     dof : observations less the unknowns that they determine; cost : sum of whitened squares, priors' included
     unknowns : Unknowns, what was adjusted, being of the groups `free`; stated : State that the priors pull to
+    printing : how far printed markers were taken to be off, or None
     """
 
     state: State
@@ -53,6 +57,15 @@ class Adjustment:
     unknowns: Unknowns
     stated: State
     free: tuple[str, ...]
+    printing: Printing | None = None
+
+    @property
+    def of_prints(self) -> np.ndarray:
+        """(s,) bool, which of the shared unknowns are how markers are printed."""
+        out, prints = np.zeros(len(self.shared_names), bool), self.unknowns.prints
+        for columns in (*prints.rows.values(), prints.together):
+            out[columns] = True
+        return out
 
     @property
     def shared_covariance(self) -> np.ndarray:
@@ -61,7 +74,7 @@ class Adjustment:
 
 
 def adjust(observations: Observations, state: State, free: Sequence[str] = ("poses", "lenses"), progress: Callable[[float], None] | None = None,
-           stated: State | None = None, worth: Callable[[Camera], np.ndarray] = lens_prior) -> Adjustment:
+           stated: State | None = None, worth: Callable[[Camera], np.ndarray] = lens_prior, printing: Printing | None = None) -> Adjustment:
     """Cameras, places and poses that fit all corners best, weighted by the corners' covariance.
 
     observations : Observations, outliers taken out; state : State to start from, with its markers where these are free
@@ -70,6 +83,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     progress : called after each iteration with the cost, or None
     stated : State whose lenses and places are what the owner stated, `state` by default
     worth : function of a Camera, the standard deviations (4 + terms,) that its stated lens is given
+    printing : how far printed markers are taken to be off where they are not free, or None
     The mean motion of all corners of a body's markers from where they are stated is held at zero, and so is the mean motion
     of a target's markers on it where both are free. Without targets on the base the stated camera poses hold the base
     frame: their mean motion is held at zero.
@@ -77,7 +91,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     Source: Triggs et al., Bundle adjustment - a modern synthesis, 2000
     """
     stated = state if stated is None else stated
-    u, estimate = unknowns(observations, state, stated, free, worth)
+    u, estimate = unknowns(observations, state, stated, free, worth, printing)
     W = whitener(observations)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
@@ -106,7 +120,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
             break
     else:
         raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return _finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free))
+    return replace(_finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free)), printing=printing)
 
 
 def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:

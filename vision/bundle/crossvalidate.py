@@ -7,7 +7,8 @@ import numpy as np
 
 from vision.bundle.adjust import Adjustment
 from vision.bundle.normal import linearise, normal_equations, reduce
-from vision.bundle.unknowns import offset, unknowns
+from vision.bundle.motions import offset
+from vision.bundle.unknowns import unknowns
 from vision.observations import Observations, only, whitener
 
 FOLDS = 10
@@ -56,7 +57,7 @@ def crossvalidate(observations: Observations, adjustment: Adjustment, folds: int
     if len(observations.frames) < 2:
         return NotHeldOut("there is one frame alone, and nothing to predict it from")
     stated = adjustment.stated
-    u, estimate = unknowns(observations, adjustment.state, stated, adjustment.free)
+    u, estimate = unknowns(observations, adjustment.state, stated, adjustment.free, printing=adjustment.printing)
     away = offset(estimate, stated, u)
     stretch = np.minimum(np.arange(len(observations.frames)) * folds // len(observations.frames), folds - 1)
     parts = []

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.bundle.adjust import Adjustment
-from vision.bundle.unknowns import POSE_WORTH, Unknowns
+from vision.bundle.columns import Unknowns
+from vision.bundle.unknowns import POSE_WORTH
 
 UNDETERMINED = 0.5  # of what was stated; a combination that keeps more of its uncertainty owes it to its owner, not to the images
 ENTANGLED = 0.98  # correlation from which two unknowns are hardly told apart
@@ -56,14 +57,16 @@ class Determined:
 
 def determined(adjustment: Adjustment) -> Determined:
     """Determined of an Adjustment: its covariance held against what each unknown was worth before."""
-    u, names = adjustment.unknowns, [f"{who} {part}" for who, part in adjustment.shared_names]
-    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_WORTH)
-    scaled = adjustment.shared_covariance / np.outer(worth, worth)
+    kept = np.flatnonzero(~adjustment.of_prints)  # how markers are printed, no recording tells marker by marker: that is said in one line
+    u, names = adjustment.unknowns, [" ".join(adjustment.shared_names[k]) for k in kept]
+    worth = np.where(np.isfinite(adjustment.prior), adjustment.prior, POSE_WORTH)[kept]
+    covariance = adjustment.shared_covariance[np.ix_(kept, kept)]
+    scaled = covariance / np.outer(worth, worth)
     values, vectors = np.linalg.eigh(scaled) if len(worth) else (np.zeros(0), np.zeros((0, 0)))
     weak = [(float(np.sqrt(values[k])), _names(vectors[:, k], names)) for k in np.argsort(-values) if values[k] > UNDETERMINED**2]
-    sigma = np.sqrt(np.diag(adjustment.shared_covariance))
+    sigma = np.sqrt(np.diag(covariance))
     known = sigma > 1e-9 * worth
-    correlation = adjustment.shared_covariance / np.outer(np.where(known, sigma, 1), np.where(known, sigma, 1))
+    correlation = covariance / np.outer(np.where(known, sigma, 1), np.where(known, sigma, 1))
     alike = np.argwhere(np.triu(np.abs(correlation) > ENTANGLED, 1) & known & known[:, None])
     pairs = sorted(alike.tolist(), key=lambda ij: -abs(correlation[ij[0], ij[1]]))
     return Determined(len(names), tuple(weak), tuple((names[i], names[j], float(correlation[i, j])) for i, j in pairs), _held(adjustment, u))
@@ -90,5 +93,8 @@ def _held(adjustment: Adjustment, u: Unknowns) -> tuple[str, ...]:
                        f"worth {POSE_WORTH * 1e3:g} mm and {POSE_WORTH * 1e3:g} mrad")
     out += [f"{what} as stated" for columns, what in ((u.poses, "camera poses"), (u.lenses, "lenses"), (u.markers, "places of markers on their "
             "targets"), (u.targets, "places of targets")) if not columns]
-    out.append("sides of markers as stated, which set the scale")
+    if adjustment.printing is not None:
+        out.append(f"markers off that as they are printed: {adjustment.printing}")
+    else:
+        out.append("sides of markers as stated, which set the scale")
     return tuple(out)

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vision.bundle.derivatives import moved, seen
-from vision.bundle.unknowns import POSE_SCALE, Estimate, Unknowns, shifts
+from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
+from vision.bundle.motions import shifts
+from vision.bundle.printing import SIDE, derivative
 from vision.observations import Observations, Whitener
 from vision.predict import body_points
 from vision.targets import SQUARE
@@ -48,7 +50,7 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
     body = body_points(observations, state)
     R_platform = state.platform.rotation.as_matrix()
     markers = observations.marker.max(initial=0) + 1
-    if unknowns.markers:
+    if unknowns.markers or unknowns.prints.rows:
         R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.side[:, None, None] * SQUARE
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
@@ -71,10 +73,21 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         if i in unknowns.lenses:
             shared.append(own @ J_lens)
             columns.append(np.tile(_range(unknowns.lenses[i]), (markers, 1)))
+        if unknowns.markers or unknowns.prints.rows:
+            J_marker, at = J_body @ R_marker[marker], in_marker[marker, corner]
+        if unknowns.prints.rows:
+            printed = derivative(J_marker, moved(J_marker, at), at)
+            if unknowns.prints.together.stop > unknowns.prints.together.start:
+                shared.append(printed[..., SIDE:])
+                columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
         steady = sum(part.shape[1] for part in columns)
         if unknowns.markers:
-            shared.append(moved(J_body @ R_marker[marker], in_marker[marker, corner]))
+            shared.append(moved(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
+        if unknowns.prints.rows:
+            parts = unknowns.prints.parts
+            shared.append(printed[..., parts])
+            columns.append(np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)]))
         if unknowns.targets:
             shared.append(moved(J_body @ turns[marker], arms[marker, corner]))
             names = state.placed.target[:markers]

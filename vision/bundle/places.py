@@ -11,7 +11,8 @@ from rig.design import Marker
 from rig.pose import log
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.normal import linearise, normal_equations, promised, step
-from vision.bundle.unknowns import offset, unknowns
+from vision.bundle.motions import offset
+from vision.bundle.unknowns import unknowns
 from vision.observations import Observations, whitener
 from vision.pose.neighbours import MOST, angle, expect, reach_of
 from vision.predict import State, predict

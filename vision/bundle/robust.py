@@ -61,7 +61,7 @@ def adjust_robustly(observations: Observations, state: State, free: Sequence[str
         plain = only(observations, solved)
         kept = replace(plain, covariance=factor[mine][:, None, None] * plain.covariance)
         gate = wide * CLOSING**rounds
-        good = _within_gate(kept, state.at(solved), gate)
+        good = within_gate(kept, state.at(solved), gate)
         weak = _unsupported(kept, good, state, {(int(np.searchsorted(solved, f)), body) for f, body in vouched if f in solved})
         if weak:
             unsolved.update({int(solved[f]): reason for f, reason in weak.items()})
@@ -170,7 +170,7 @@ def _squares(observations: Observations, state: State) -> np.ndarray:
     return square
 
 
-def _within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
+def within_gate(observations: Observations, state: State, least: float = 0.0) -> np.ndarray:
     """(n,) bool, the corners within GATE of where the state puts them, by the residuals' own scale, or within `least` px."""
     square = _squares(observations, state)
     scale = np.sqrt(np.median(square) / MEDIAN)

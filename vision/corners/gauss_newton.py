@@ -83,6 +83,7 @@ def accumulate(pixels: EdgePixels, count: int, cells: np.ndarray, square: Square
     weights, doubted, told = 0.0, 0, 0
     g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
     s00, s01, s10, s11 = slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1]
+    gu, gv = g20 * s00 + g21 * s10, g20 * s01 + g21 * s11
     for start in range(0, count, CHUNK):
         size = min(CHUNK, count - start)
         J = rows[start // CHUNK]
@@ -96,20 +97,21 @@ def accumulate(pixels: EdgePixels, count: int, cells: np.ndarray, square: Square
                 Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
                 Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                sx, sy, rho = s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay)
-                if REACH * max(sx, sy) > 1:
-                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), table_x, table_y)
+                meeting = Meeting(s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), (Xu * gu + Xv * gv) / (ax * ax),
+                                  (Yu * gu + Yv * gv) / (ay * ay))
+                if REACH * max(meeting.sx, meeting.sy) > 1:
+                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, meeting, table_x, table_y)
                 else:
-                    p, dX, dY, dB = pattern(cells, i, j, X, Y, Meeting(sx, sy, rho), table_x, table_y)
+                    p, dX, dY, dB = pattern(cells, i, j, X, Y, meeting, table_x, table_y)
             elif abs(kind) == 1:
-                Xx, Xy = g00 - X * g20, g01 - X * g21
+                Xx, Xy = g00 - i * g20, g01 - i * g21  # of the edge, not of the pixel: w times the line's distance is exact so
                 Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
                 across = kind / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
                 h = (X - i) * across
                 p, e = edge(table_x, h)
                 dX, dB = e * across, -e * h
             else:
-                Yx, Yy = g10 - Y * g20, g11 - Y * g21
+                Yx, Yy = g10 - j * g20, g11 - j * g21
                 Yu, Yv = Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
                 across = 0.5 * kind / (s * w * math.sqrt(Yu * Yu + Yv * Yv))
                 h = (Y - j) * across
@@ -204,17 +206,17 @@ def step(square: Square, n: int, scale: float, corners: np.ndarray, work: Work) 
 
 
 @kernel
-def corner_covariance(work: Work, weights: float, covariance: np.ndarray) -> float:
-    """(8, 8) covariance of the corners' local ideal coordinates, from the residuals' own scatter; returns that (grey levels).
+def corner_covariance(work: Work, noise2: float, gain: np.ndarray, own: np.ndarray, covariance: np.ndarray) -> None:
+    """Write the (8, 8) covariance of the corners' local ideal coordinates.
 
-    work : Work of the last step, whose x is overwritten; weights : sum of the pixels' weights
+    work : Work of the last step, whose x is overwritten; noise2 : variance of the residuals; gain, own : as in bowed.Bow
     """
-    H, L, x, J = work.H, work.L, work.x, work.J
-    left = H[ROWS - 1, ROWS - 1]  # the residuals' weighted square, less what the last step takes off it
-    for k in range(UNKNOWNS):
-        left -= H[ROWS - 1, k] * x[k]
-    noise2 = max(left, 1e-12) / max(weights - UNKNOWNS, 1.0)
-    unit, row = np.empty(UNKNOWNS), np.empty(8)
+    L, x, J = work.L, work.x, work.J
+    unit, row, bowed = np.empty(UNKNOWNS), np.empty(8), np.zeros((8, len(own)))
+    for a in range(8):
+        for t in range(len(own)):
+            for k in range(8):
+                bowed[a, t] += J[a, k] * gain[t, k]
     for a in range(8):
         unit[:] = 0
         unit[:8] = J[a]
@@ -223,5 +225,7 @@ def corner_covariance(work: Work, weights: float, covariance: np.ndarray) -> flo
             row[b] = 0
             for k in range(8):
                 row[b] += J[b, k] * x[k]
+            for s in range(len(own)):
+                for t in range(len(own)):
+                    row[b] += bowed[a, s] * own[s, t] * bowed[b, t]
         covariance[a] = noise2 * row
-    return math.sqrt(noise2)

@@ -73,12 +73,13 @@ def misfit(sums: np.ndarray, noise: float) -> float:
 
 
 @kernel
-def profile_left(pixels: EdgePixels, count: int, square: Square, tables: np.ndarray, directions: np.ndarray, limit: float,
+def profile_left(pixels: EdgePixels, count: int, square: Square, bowed: np.ndarray, tables: np.ndarray, directions: np.ndarray, limit: float,
                  profile: np.ndarray) -> None:
     """Add what the fit leaves beside single edges, as a share of the contrast, to profile (d, BINS, 3): count, sum, sum of squares.
 
-    pixels : EdgePixels, the first `count`; square : Square; tables : (d, STEPS + 1, 2), and directions (2,) the rows of it and of the profile
-    for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a distance from the edge in widths, negative on the dark side.
+    pixels : EdgePixels, the first `count`; square : Square; bowed : (3,) sizes as in bowed.Bow; tables : (d, STEPS + 1, 2), and directions
+    (2,) the rows of it and of the profile for the X and the Y edges; limit : grey levels, of a trusted residual. A bin is a distance from the
+    edge in widths, negative on the dark side.
     """
     points, greys, places = pixels.points, pixels.greys, pixels.places
     g, s, slope, light, rows = square.g, square.width, square.slope, square.light, directions
@@ -91,13 +92,15 @@ def profile_left(pixels: EdgePixels, count: int, square: Square, tables: np.ndar
         xi, yi = float(points[k, 0]), float(points[k, 1])
         w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
         X = (g[axis, 0] * xi + g[axis, 1] * yi + g[axis, 2]) * w
-        Xx, Xy = g[axis, 0] - X * g[2, 0], g[axis, 1] - X * g[2, 1]
+        at_edge = places[k, 1 + axis]
+        Xx, Xy = g[axis, 0] - at_edge * g[2, 0], g[axis, 1] - at_edge * g[2, 1]
         Xu, Xv = Xx * slope[0, 0] + Xy * slope[1, 0], Xx * slope[0, 1] + Xy * slope[1, 1]
-        h = sign * (X - places[k, 1 + axis]) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
+        h = sign * (X - at_edge) / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
         white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
         at = int(math.floor((h / PROFILED + 1) * bins / 2))
         p, e = edge(tables[rows[axis]], h)
-        share = (greys[k] - black) / (white - black) - p
+        more = bowed[0] * xi * xi + bowed[1] * xi * yi + bowed[2] * yi * yi
+        share = (greys[k] - black - more * (p + (1 - p) * light[3] / light[0])) / (white - black) - p
         if 0 <= at < bins and abs(share) * (white - black) < limit:
             profile[rows[axis], at, 0] += 1
             profile[rows[axis], at, 1] += share

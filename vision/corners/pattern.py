@@ -24,11 +24,14 @@ class Tables(NamedTuple):
 
 
 class Meeting(NamedTuple):
-    """How a marker's edges look at one place. sx, sy : cells, widths of its X and Y edges; rho : correlation, the cosine between their normals."""
+    """How a marker's edges look at one place. sx, sy : cells, widths of its X and Y edges; rho : correlation, the cosine between their normals
+    px, py : 1/cell, by what share of itself an edge's distance is less for each cell that it is nearer: perspective."""
 
     sx: float
     sy: float
     rho: float
+    px: float
+    py: float
 
 
 class Share(NamedTuple):
@@ -50,6 +53,13 @@ def edge(table: np.ndarray, x: float) -> tuple[float, float]:
 
 
 @kernel
+def away(cells: float, s: float, p: float) -> float:
+    """Edge widths from an edge so many cells away, where an edge is s cells wide here and perspective changes cells by p: the line's distance in
+    the image, not the nearest guess at it, which shifts every edge of a tilted marker the same way."""
+    return cells / (s * (1 + p * cells))
+
+
+@kernel
 def _meeting(h: float, k: float, rho: float) -> float:
     """Bivariate normal distribution less the product of its margins."""
     total = 0.0
@@ -66,9 +76,9 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
 
     cells : (n + 4, n + 4), the n x n bits with their black border and one more ring of white. Cell (0, 0) is the first bit.
     """
-    sx, sy, rho = meeting
+    sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    hl, hr, vl, vr = (X - i) / sx, (X - i - 1) / sx, (Y - j) / sy, (Y - j - 1) / sy
+    hl, hr, vl, vr = away(X - i, sx, px), away(X - i - 1, sx, px), away(Y - j, sy, py), away(Y - j - 1, sy, py)
     Pa, pa = edge(table_x, hl)
     Pb, pb = edge(table_x, hr)
     Pc, pc = edge(table_y, vl)
@@ -103,10 +113,10 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
 @kernel
 def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meeting, table_x: np.ndarray, table_y: np.ndarray) -> Share:
     """The same for cells (n + 4, n + 4) where edges are so wide that cells beyond the next ones are in sight: two to each side count."""
-    sx, sy, rho = meeting
+    sx, sy, rho, px, py = meeting
     last = cells.shape[0] - 1
-    h = ((X - i + 1) / sx, (X - i) / sx, (X - i - 1) / sx, (X - i - 2) / sx)
-    k = ((Y - j + 1) / sy, (Y - j) / sy, (Y - j - 1) / sy, (Y - j - 2) / sy)
+    h = (away(X - i + 1, sx, px), away(X - i, sx, px), away(X - i - 1, sx, px), away(X - i - 2, sx, px))
+    k = (away(Y - j + 1, sy, py), away(Y - j, sy, py), away(Y - j - 1, sy, py), away(Y - j - 2, sy, py))
     across = (edge(table_x, h[0]), edge(table_x, h[1]), edge(table_x, h[2]), edge(table_x, h[3]))
     down = (edge(table_y, k[0]), edge(table_y, k[1]), edge(table_y, k[2]), edge(table_y, k[3]))
     s, gx, gy, gb, above = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -8,10 +8,12 @@ bivariate normal's correlated part (vision/corners/pattern.py), because a marker
 Source: corner accuracy from edges, Rohr 1992; dense alignment of a marker, Wu et al., DodecaPen, UIST 2017
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from vision.corners.bowed import TERMS, Bow, bow
 from vision.corners.cholesky import factor, solve
 from vision.corners.covered import covered, uncovered
 from vision.corners.edges import EdgePixels, Printed, edge_pixels
@@ -107,18 +109,19 @@ class Fits(NamedTuple):
     profile: np.ndarray
 
 
-Room = tuple[EdgePixels, EdgePixels, Work, np.ndarray, np.ndarray, np.ndarray]  # see `_room`
+Room = tuple[EdgePixels, EdgePixels, Work, Bow, np.ndarray, np.ndarray, np.ndarray]  # see `_room`
 
 
 @kernel
 def _room(largest: int, n: int) -> Room:
-    """(all EdgePixels, a sample of them, Work, sums of `segments`, counts and cells of `covered`) for markers of n bits each way in boxes of at
+    """(all EdgePixels, a sample of them, Work, Bow, sums of `segments`, counts and cells of `covered`) for markers of n bits each way in boxes of at
     most so many pixels."""
     every = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
     sample = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
     work = Work(np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8)),
                 np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32), np.zeros(largest, np.float32))
-    return every, sample, work, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)), np.empty((n + 5, n + 5), np.bool_)
+    bowed = Bow(np.empty((TERMS, UNKNOWNS)), np.empty((TERMS, TERMS)), np.empty(TERMS))
+    return every, sample, work, bowed, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)), np.empty((n + 5, n + 5), np.bool_)
 
 
 @kernel
@@ -165,7 +168,7 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
 @kernel
 def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
-    every, sample, work, sums, told, hidden = room
+    every, sample, work, bowed, sums, told, hidden = room
     hidden[:] = False
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]
     scale = centre[2]
@@ -221,13 +224,16 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
                 if count < FEWEST:
                     return NO_PIXELS
                 continue
+            over = bow(every, count, square, counted.weights, work, bowed)
             if not corners_at(g, n, corners, work.J):
                 return WANDERED
             segments(every, count, g, work.rows, work.x, sums)
-            fits.noise[m] = corner_covariance(work, counted.weights, fits.covariances[m])
+            noise2 = max(over, 1e-12) / max(counted.weights - UNKNOWNS - TERMS, 1.0)
+            fits.noise[m] = math.sqrt(noise2)
+            corner_covariance(work, noise2, bowed.gain, bowed.own, fits.covariances[m])
             fits.covariances[m] *= misfit(sums, fits.noise[m])
             to_image(lens, centre, quad, corners, fits.covariances[m])
             if fits.profile.shape[1]:
-                profile_left(every, count, Square(g, s, light, slope), tables, marker.directions, limit, fits.profile)
+                profile_left(every, count, Square(g, s, light, slope), bowed.sizes, tables, marker.directions, limit, fits.profile)
             return OK
     return UNSETTLED

@@ -13,7 +13,8 @@ from tests.vision.scenes import known, scene
 from vision.bundle.adjust import adjust
 from vision.bundle.determined import determined
 from vision.bundle.normal import linearise
-from vision.bundle.unknowns import TERM_PRIOR, aligned, move, offset, unknowns
+from vision.bundle.motions import aligned, move, offset
+from vision.bundle.unknowns import TERM_PRIOR, unknowns
 from vision.observations import correlation_of, whitener
 from vision.predict import State, predict
 from vision.targets import marker_map

@@ -12,7 +12,7 @@ from vision.bundle.adjust import adjust
 from vision.bundle.crossvalidate import crossvalidate
 from vision.bundle.determined import determined
 from vision.bundle.places import listed, places
-from vision.bundle.unknowns import aligned
+from vision.bundle.motions import aligned
 from vision.measure import measure
 from vision.recorded import refused
 from vision.targets import marker_map

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.tolerances import FINDER
+from rig.tolerances import FINDER
 from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from vision import lens

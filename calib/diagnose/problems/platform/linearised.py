@@ -12,8 +12,8 @@ import numpy as np
 from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
 from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from calib.diagnose.tolerances import FINDER
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian
+from rig.tolerances import FINDER
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 KEPT = 0.1  # of all corners; where a candidate moves more, others move the same ones

@@ -13,7 +13,7 @@ from calib.diagnose.problems.platform.linearised import CORNERS
 from calib.diagnose.problems.platform.problem import PlatformFit, PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.search import column_of
 from calib.diagnose.problems.platform.tolerated import Slight, beside, share_beside, slight, tolerated
-from calib.diagnose.tolerances import STILL
+from rig.tolerances import STILL
 
 LASTING = ("image position", "place on the marker")  # what is left and depends on these is the same in every frame
 LASTING_VIEWS = ("map", "outward", "markers", "targets")  # effects that residuals show so are, too

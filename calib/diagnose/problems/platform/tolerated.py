@@ -13,11 +13,11 @@ from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, Linea
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.problems.platform.smooth import SLOW
-from calib.diagnose.tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 from rig import mechanisms
 from rig.effects.base import Linear
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.print_scale import PrintScale
+from rig.tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
 STEP = 1e-4  # of a side, a metre or a radian, for derivatives

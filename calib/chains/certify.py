@@ -1,0 +1,82 @@
+"""What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import FOLDS, Progress, silent
+from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
+from calib.certify.configurations import LEAST, folds, labels, witnesses
+from calib.certify.held_out import HeldOut, compare, errors_of
+from calib.chains import model
+from calib.chains.identify import Identified, identify
+from calib.correct.correction import Correction
+from calib.samples import Samples
+from calib.workspace.region import closing
+from rig.configurations import FILL, low_discrepancy
+from rig.design import Chain
+from rig.mechanisms import chain as mechanism
+from rig.pose import difference
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certified:
+    """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each sample
+    held_out : HeldOut, whole stretches of configurations in turn, or None for too few of them"""
+
+    correction: Correction
+    found: Identified
+    label: np.ndarray
+    held_out: HeldOut | None
+
+
+def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
+    """Certified : all stages of a chain together. rng : numpy Generator, for the bootstrap; progress : called with (label, done, of)
+
+    Raises what `identify` raises
+    """
+    said = progress or silent
+    label = labels(samples.commanded, mechanism.travel(nominal))
+    said("fitting the geometry", 0, 1)
+    found = identify(samples, nominal)
+    correction = _corrected(nominal, found)
+    said("fitting the geometry", 1, 1)
+    if label.max() + 1 < LEAST:
+        return Certified(correction, found, label, None)
+    fold = folds(label, min(FOLDS, label.max() + 1))
+    before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
+    for k in np.unique(fold):
+        rest = samples.take(fold == k)
+        before[fold == k], after[fold == k] = errors_of(_corrected(nominal, identify(samples.take(fold != k), nominal)), rest)
+        said("holding configurations out", int(k) + 1, int(fold.max()) + 1)
+    return Certified(correction, found, label, compare(before, after, samples.total_covariance(), rng, label))
+
+
+def _corrected(nominal: Chain, found: Identified) -> Correction:
+    parts: tuple[None, ...] = (None,) * len(nominal.axes)
+    return Correction(nominal, found.chain, parts)
+
+
+def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) covariance of the corrected chain's pose at commands (n, axes) m or rad: the parameters' and what the model leaves."""
+    J = model.parameter_jacobian(commands, calibration.correction.fitted)
+    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(calibration.scatter**2)
+
+
+def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+    """Claim of a certified chain all over its axes' travels, each configuration once."""
+    found, nominal = done.found, done.correction.nominal
+    kept = samples.take(found.inliers)
+    label = np.unique(done.label[found.inliers], return_inverse=True)[1]
+    each = witnesses(kept, label, mechanism.jacobian(kept.commanded, nominal))
+    words = f"the middle {FILL * 100:.0f} % of every travel, all axes free of each other"
+    asked = int((model.prior(nominal) > 0).sum())
+    told = Told(len(each), asked - len(found.untold), asked - len(found.untold), asked, "what no pose tells stays as stated")
+    if len(each) < LEAST:
+        return too_few(told, words)
+    values, T = closing(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
+    own = (found.scatter**2).reshape(2, 3).sum(axis=1)
+    workspace = Workspace(model.parameter_jacobian(values, found.chain), difference(mechanism.forward(values, nominal), T), own, words)
+    draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
+    return claimed(workspace, draws, each, told, rng)

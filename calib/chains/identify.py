@@ -1,0 +1,147 @@
+"""A chain's parameters, all stages together, from the poses of its last platform; and which of their combinations no pose tells apart.
+
+What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints stand on it are one and the
+same. Such combinations have no information in the poses; they stay as the owner's figures have them and are named.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arms.scatter import beyond
+from calib.chains import model
+from calib.identify.least_squares import Linear, fit
+from calib.samples import Samples
+from rig.design import Chain
+from rig.errors import NotEnoughData
+from rig.mechanisms import chain as mechanism
+from rig.pose import difference
+
+ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
+SETTLED = 1e-3  # share by which the scatter may still change
+NAMED = 0.25  # share of a combination's largest part from which a parameter is named
+ALIKE = 0.05  # share of a combination that need not be the motion of a base
+MOST = 4  # parameters that a combination is told by
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Untold:
+    """A combination that poses leave as stated. parameters : ((name, weight), ..) in plausible sizes, the largest first; stages : it spans
+    left : of what is plausible, that remains uncertain (1: all); stands : (upper, lower) stage where it is the upper one's base that moves as a
+    whole on the lower, so that the lower's own parameters do the same; None for anything else."""
+
+    parameters: tuple[tuple[str, float], ...]
+    stages: tuple[int, ...]
+    left: float
+    stands: tuple[int, int] | None = None
+
+    def __str__(self) -> str:
+        parts = ", ".join(f"{weight:+.2f} {name}" for name, weight in self.parameters)
+        return f"{parts} ({'between stages ' + ' and '.join(map(str, self.stages)) if len(self.stages) > 1 else f'within stage {self.stages[0]}'})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """What a fit of a chain found, p parameters in the order of calib.chains.model.
+
+    chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
+    told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (Untold, ..)
+    residuals : (n, 6) m and rad; scatter : (6,) beyond the instrument's own; inliers : (n,) bool
+    """
+
+    chain: Chain
+    step: np.ndarray
+    covariance: np.ndarray
+    told: tuple[tuple[int, int], ...]
+    untold: tuple[Untold, ...]
+    residuals: np.ndarray
+    scatter: np.ndarray
+    inliers: np.ndarray
+
+    def report(self) -> list[str]:
+        """Lines for a reader, stage by stage, then what cannot be told apart."""
+        lines = [f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
+                 for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.told))]
+        for upper, lower in sorted({one.stands for one in self.untold if one.stands is not None}):
+            count = sum(one.stands == (upper, lower) for one in self.untold)
+            lines.append(f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from stage {lower}'s own: its "
+                         f"base moved as a whole, the last platform stays; they stay as stated")
+        rest = [one for one in self.untold if one.stands is None]
+        if rest:
+            lines.append(f"{len(rest)} more combinations that no pose of the last platform tells stay as stated:")
+        return lines + [f"  {one}" for one in rest]
+
+
+def identify(samples: Samples, nominal: Chain) -> Identified:
+    """Identified : the parameters that explain the poses, as near to the owner's as these allow.
+
+    samples : Samples of the last platform; nominal : where the fit starts and where its prior holds what the poses do not tell
+    Raises NotEnoughData for fewer equations than a stage has axes, RigError where the fit does not settle
+    """
+    sigma = model.prior(nominal)
+    free = sigma > 0
+    if len(samples) < 3:
+        raise NotEnoughData(f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}")
+    scatter = np.zeros(6)
+    for _ in range(ROUNDS):
+        white = np.linalg.inv(np.linalg.cholesky(samples.covariance + np.diag(scatter**2)))
+
+        def linearise(p: np.ndarray, white: np.ndarray = white) -> Linear:
+            step = np.zeros(len(sigma))
+            step[free] = p
+            chain = model.moved(nominal, step)
+            left = difference(mechanism.forward(samples.effective, chain), samples.T_base_platform)
+            return Linear((white @ left[..., None])[..., 0], white @ model.parameter_jacobian(samples.effective, chain)[..., free],
+                          white @ samples.common)
+
+        found = fit(linearise, np.zeros(free.sum()), np.zeros(free.sum()), sigma[free], robust=True)
+        left = np.linalg.solve(white, found.residual[..., None])[..., 0]
+        again = beyond(left[found.inliers], samples.covariance[found.inliers], min(free.sum() / (6 * found.inliers.sum()), 0.9))
+        if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
+            break
+        scatter = again
+    step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
+    step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
+    return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal), left,
+                      scatter, found.inliers)
+
+
+def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:
+    """(told, asked) combinations of each stage: those left with less than half of what is plausible."""
+    out = []
+    for part in model.parts(chain):
+        own = np.flatnonzero(sigma[part] > 0) + part.start
+        left = np.linalg.eigvalsh(covariance[np.ix_(own, own)] / np.outer(sigma[own], sigma[own]))
+        out.append((int((left < 0.25).sum()), len(own)))
+    return tuple(out)
+
+
+def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Untold, ...]:
+    """The combinations of all parameters that keep more than half of what is plausible, the least told first."""
+    free = np.flatnonzero(sigma > 0)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free]))
+    names, out = model.names(chain), []
+    stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(model.parts(chain))])[free]
+    for i in np.argsort(-values):
+        if values[i] <= 0.25:
+            break
+        v = vectors[:, i] * np.sign(vectors[np.argmax(np.abs(vectors[:, i])), i])
+        order = np.argsort(-np.abs(v))
+        strong = [j for j in order[:MOST] if abs(v[j]) > NAMED * abs(v[order[0]])]
+        spans = tuple(int(k) for k in np.unique(stage) if (v[stage == k] ** 2).sum() > 0.02)
+        whole = np.zeros(len(sigma))
+        whole[free] = v
+        parameters = tuple((names[free[j]], float(v[j])) for j in strong)
+        out.append(Untold(parameters, spans, float(np.sqrt(values[i])), _stands(whole, sigma, chain, spans)))
+    return tuple(out)
+
+
+def _stands(direction: np.ndarray, sigma: np.ndarray, chain: Chain, spans: tuple[int, ...]) -> tuple[int, int] | None:
+    """(upper, lower) where a direction (p,) in plausible sizes moves the upper stage's base as a whole, and something below it; None elsewhere."""
+    if len(spans) != 2 or spans[1] != spans[0] + 1:
+        return None
+    upper = model.parts(chain)[spans[1] - 1]
+    own = direction[upper]
+    motions = model.base_motions(chain.stages[spans[1] - 1]) / np.where(sigma[upper] > 0, sigma[upper], np.inf)[:, None]
+    left = own - motions @ np.linalg.lstsq(motions, own)[0]
+    return (spans[1], spans[0]) if np.linalg.norm(left) < ALIKE * np.linalg.norm(own) else None

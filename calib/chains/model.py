@@ -1,0 +1,79 @@
+"""The error model of a chain: what every stage's own parameters do to the pose of the last platform.
+
+Parameters stand in one vector, stage after stage, as changes from the owner's figures: of a hexapod its 42, of two struts their 6, of an arm base,
+rows and tool in the order of calib.arms.model. tangent = sum over stages of Ad(T_k+1 .. T_n)^-1 J_k dp_k.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.arms import model as arms
+from calib.arms.identify import parameters as independent
+from calib.arms.rank import PLAUSIBLE
+from calib.identify.geometry import NAMES, PRIOR, parameters, pose_jacobian, with_parameters
+from calib.identify.observability import gauge
+from rig.design import Arm, Chain, Hexapod
+from rig.geometry import Stage
+from rig.mechanisms import chain as mechanism
+
+
+def names(chain: Chain) -> tuple[str, ...]:
+    """Names of the parameters, in order: "stage 1 base x" .., "stage 2 base joint 1 x" .."""
+    return tuple(f"stage {k + 1} {name}" for k, stage in enumerate(chain.stages)
+                 for name in (arms.names(stage) if isinstance(stage, Arm) else NAMES[stage.kind]))
+
+
+def units(chain: Chain) -> tuple[str, ...]:
+    """Unit of each parameter, "m" or "rad"."""
+    return tuple(unit for stage in chain.stages for unit in (arms.units(stage) if isinstance(stage, Arm) else ("m",) * len(NAMES[stage.kind])))
+
+
+def prior(chain: Chain) -> np.ndarray:
+    """(p,) m and rad, what each figure of an owner may be off by; 0 for those that are no freedom of their own (Hayati)."""
+    out = []
+    for stage in chain.stages:
+        if isinstance(stage, Arm):
+            out.append(np.array([PLAUSIBLE[unit] for unit in arms.units(stage)]) * independent(stage, "pose"))
+        else:
+            out.append(np.full(len(NAMES[stage.kind]), PRIOR))
+    return np.concatenate(out)
+
+
+def parts(chain: Chain) -> list[slice]:
+    """The slice of each stage's parameters."""
+    sizes = [len(arms.names(stage)) if isinstance(stage, Arm) else len(NAMES[stage.kind]) for stage in chain.stages]
+    ends = np.cumsum(sizes)
+    return [slice(int(end - size), int(end)) for size, end in zip(sizes, ends)]
+
+
+def moved(chain: Chain, step: np.ndarray) -> Chain:
+    """The Chain with its parameters moved by step (p,) m and rad."""
+    return replace(chain, stages=tuple(_moved(stage, step[part]) for stage, part in zip(chain.stages, parts(chain))))
+
+
+def _moved(stage: Stage, step: np.ndarray) -> Stage:
+    return arms.moved(stage, step) if isinstance(stage, Arm) else with_parameters(stage, parameters(stage) + step)
+
+
+def base_motions(stage: Stage) -> np.ndarray:
+    """(p, 6 or 3) change of a stage's parameters with its own base frame: x y z rx ry rz, m and rad; of two struts x, y and rz alone."""
+    if isinstance(stage, Arm):
+        return np.eye(len(arms.names(stage)), 6)
+    if isinstance(stage, Hexapod):
+        return gauge(stage)[:, :6]
+    turned = stage.base_joints @ np.array([[0, 1.0], [-1, 0]])
+    moves = np.stack([np.tile([1.0, 0], (2, 1)), np.tile([0, 1.0], (2, 1)), turned], axis=-1)
+    return np.concatenate([moves.reshape(4, 3), np.zeros((2, 3))])
+
+
+def parameter_jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
+    """(n, 6, p) change of the last platform's pose (tangent on the right, m and rad) with the parameters, at values (n, axes) m or rad."""
+    poses = mechanism.each(values, chain)
+    return np.concatenate([back @ _own(own, T, stage) for (stage, own), T, back in
+                           zip(mechanism.stages(values, chain), poses, mechanism.beyond(poses))], axis=-1)
+
+
+def _own(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.ndarray:
+    return arms.parameter_jacobian(values, stage) if isinstance(stage, Arm) else pose_jacobian(T, stage)

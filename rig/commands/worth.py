@@ -1,0 +1,30 @@
+"""What `rig calibrate` says of a calibration's worth beyond the verdict: a promise kept or not, and what becomes of the workspace."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.certify.claim import Claim
+    from calib.store import Calibration
+
+
+def say_promise(promise: float | None, claim: Claim | None) -> None:
+    """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
+    if promise is None or claim is None:
+        return
+    if claim.after is None:
+        print(f"the promise of {promise * 1e6:.4g} um cannot be said to be met: {claim.reason}")
+        return
+    middle, _, most = claim.after[0]
+    met = "is met" if most <= promise else "is NOT met yet; rig plan --promise --given the recording names the next best poses"
+    print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
+
+
+def say_workspace(calibration: Calibration) -> None:
+    """Print what a calibration does to the workspace; nothing where that was not worked out."""
+    from calib.workspace.words import lines
+    from rig import mechanisms
+
+    if calibration.workspace is not None:
+        print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])

@@ -1,0 +1,148 @@
+"""Mechanisms one upon the other: a hexapod on a gantry, moved, calibrated stage by stage from one recording, corrected, driven and verified."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from calib import store
+from calib.chains import model
+from calib.chains.identify import identify
+from calib.samples import Samples
+from rig import design_file, layout, machine_file
+from rig.configurations import low_discrepancy
+from rig.errors import FileError, Unreachable
+from rig.mechanisms import arm, chain, hexapod
+from rig.pose import difference, exp, log, pose
+from tests.loops import holds, lines, rig, verified
+from tests.numeric import jacobian as differences
+
+GANTRY = """[mechanism]
+kind = "chain"
+
+[[mechanism.stage]]   # a gantry of three slides, its carriage the hexapod's base
+kind = "arm"
+joints = [["prismatic", -1.5707963267948966, 0.0, 0.0, -1.5707963267948966],
+          ["prismatic", -1.5707963267948966, 0.0, 0.0, -1.5707963267948966], ["prismatic", 0.0, 0.0, 0.0, 0.0]]
+limits = [[-0.1, 0.1], [-0.1, 0.1], [-0.05, 0.05]]
+
+"""
+INSTRUMENT = '[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 5e-5\n\n'
+
+
+def written(folder, seen=False):
+    """The rig.toml of a hexapod on a gantry, seen by cameras or measured by an instrument."""
+    text = layout.layout(0.25)
+    start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
+    stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
+    rest = text[end:] if seen else INSTRUMENT + text[end:cameras]
+    (folder / "rig.toml").write_text(text[:start] + GANTRY + stage + rest)
+    return design_file.load(folder / "rig.toml")
+
+
+@pytest.fixture
+def gantry(tmp_path):
+    return written(tmp_path).mechanism
+
+
+def test_a_chain_is_its_stages_one_upon_the_other(gantry):
+    x = low_discrepancy(chain.travel(gantry), 20, 0.9)
+    T = arm.forward(x[:, :3], gantry.stages[0]) * hexapod.forward(x[:, 3:], gantry.stages[1])
+    assert np.abs(difference(T, chain.forward(x, gantry))).max() < 1e-14
+    assert gantry.axes == ("s1q1", "s1q2", "s1q3", "s2l1", "s2l2", "s2l3", "s2l4", "s2l5", "s2l6")
+    assert chain.limits(x + 1.0, gantry).all() and not chain.limits(x, gantry).any()
+
+
+def test_the_jacobians_are_the_differences(gantry):
+    x = low_discrepancy(chain.travel(gantry), 1, 0.5)[0]
+    at = chain.forward(x, gantry)
+    np.testing.assert_allclose(chain.jacobian(x, gantry), differences(lambda v: log(at.inv() * chain.forward(v, gantry)), x), atol=1e-8)
+    still = np.zeros(len(model.names(gantry)))
+    of = differences(lambda p: log(at.inv() * chain.forward(x, model.moved(gantry, p))), still)
+    np.testing.assert_allclose(model.parameter_jacobian(x[None], gantry)[0], of, atol=1e-7)
+
+
+def test_the_inverse_reaches_poses_within_the_travels_and_says_which_it_does_not(gantry):
+    x = low_discrepancy(chain.travel(gantry), 12, 0.5, 3)
+    wanted = chain.forward(x, gantry)
+    found = chain.inverse(wanted, gantry)
+    assert np.abs(difference(chain.forward(found, gantry), wanted)).max() < 1e-10 and not chain.limits(found, gantry).any()
+    middle, span = chain.travel(gantry).mean(axis=1), np.ptp(chain.travel(gantry), axis=1)
+    assert (np.linalg.norm((found - middle) / span, axis=1) < np.linalg.norm((x - middle) / span, axis=1) + 1e-6).all()  # nearest the middle
+    with pytest.raises(Unreachable, match="1 of 2 poses") as error:
+        chain.inverse(RigidTransform.concatenate([wanted[0], pose([0, 0, 0.4], [3.0, 0, 0])]), gantry)
+    assert error.value.index.tolist() == [1]
+
+
+def test_stages_are_told_from_one_recording_and_what_cannot_be_is_named(tmp_path):
+    """z-scores of every parameter of every stage; the six figures of where the hexapod stands on the carriage have no information."""
+    design = written(tmp_path)
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    from calib.pipeline import sample_recording
+    from rig import recording
+
+    true, _ = machine_file.load(tmp_path / "truth.json", design)
+    samples = sample_recording(recording.load(tmp_path / "rec")).samples
+    found = identify(samples, design.mechanism)
+    # the true machine in the parameters that are freedoms of their own: what poses without noise say of it, to the last digit
+    exact = identify(replace(samples, T_base_platform=chain.forward(samples.commanded, true.mechanism), covariance=samples.covariance * 1e-8),
+                     design.mechanism)
+    assert np.abs(difference(chain.forward(samples.commanded, exact.chain), chain.forward(samples.commanded, true.mechanism))).max() < 1e-7
+    free = np.diag(found.covariance) > 0
+    off, covariance = (found.step - exact.step)[free], found.covariance[np.ix_(free, free)]
+    for part in model.parts(design.mechanism):  # stage by stage
+        assert np.abs((found.step - exact.step)[part][free[part]] / np.sqrt(np.diag(found.covariance)[part][free[part]])).max() < 3
+    told = np.linalg.eigh(covariance)
+    sharp = told.eigenvalues < (2e-4) ** 2  # combinations told better than machines are off
+    z = told.eigenvectors[:, sharp].T @ off / np.sqrt(told.eigenvalues[sharp])
+    assert len(z) > 30 and 0.6 < np.sqrt((z**2).mean()) < 1.4 and np.abs(z).max() < 4
+    assert np.abs(exact.step[free]).max() > 20 * np.sqrt(told.eigenvalues[sharp]).min()  # there was something to find
+    assert len(found.untold) == 6 and {one.stands for one in found.untold} == {(2, 1)}
+    assert "6 of 6 figures of where stage 2 stands on stage 1" in "\n".join(found.report())
+
+
+def test_of_a_machine_as_stated_nothing_is_off(gantry):
+    """A machine as stated: nothing is found to be off, and what is named as untold is told by parameters of its own."""
+    x = low_discrepancy(chain.travel(gantry), 40, 0.9)
+    T = chain.forward(x, gantry) * exp(np.zeros(6))
+    samples = Samples(np.arange(40), np.arange(40.0), x, T, np.tile(np.diag([1e-10] * 3 + [1e-9] * 3), (40, 1, 1)), np.zeros((40, 6, 0)))
+    found = identify(samples, gantry)
+    assert np.abs(found.step).max() < 1e-6 and found.inliers.all()
+    for one in found.untold:
+        v = np.zeros(len(found.step))
+        for name, weight in one.parameters:
+            v[model.names(gantry).index(name)] = weight
+        assert v.any() and one.left > 0.5
+
+
+def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
+    design = written(tmp_path)
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    m = design.mechanism
+    found = verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m)))
+    holds(found)
+    assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
+    kept = store.load(tmp_path / "calibration.json").correction
+    assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads((tmp_path / "calibration.json").read_text())["claim"]
+
+
+@pytest.mark.parametrize("change, says", [
+    (('kind = "chain"', 'kind = "chian"'), "must be one of"), (('kind = "arm"', 'kind = "chain"'), "must be one of"),
+    (("[[mechanism.stage]]   # a gantry", "[[mechanism.spare]]   # a gantry"), "two stages or more")])
+def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
+    written(tmp_path)
+    text = (tmp_path / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(text.replace(*change, 1))
+    with pytest.raises(FileError, match=says) as error:
+        design_file.load(tmp_path / "rig.toml")
+    assert error.value.line is not None
+
+
+@pytest.mark.slow
+def test_a_loop_closes_from_corners(tmp_path, capfd):
+    design = written(tmp_path, seen=True)
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    m = design.mechanism
+    holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m))))
