@@ -7,7 +7,7 @@ from decimal import Decimal
 import numpy as np
 
 from rig import mechanisms
-from rig.design import Design
+from rig.design import Arm, Design
 from rig.errors import RigError
 from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
@@ -54,6 +54,8 @@ def _time_unit(header: str) -> str | None:
 def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
     """((n, axes) m or rad, ForeignTable with the unit, sentences)."""
     values = np.array([cells.numbers(k) for k in at]).T
+    if isinstance(design.mechanism, Arm) and design.mechanism.slides.any():
+        return _sliding(values, [units.split(cells.header[k])[1] for k in at], table, design.mechanism)
     stated = {table.unit or units.split(cells.header[k])[1] for k in at}
     if len(stated) > 1:
         raise RigError(f"{table.file}: its columns are in different units ({', '.join(sorted(str(u or 'none stated') for u in stated))}); "
@@ -71,6 +73,20 @@ def _values(cells: Cells, at: list[int], table: ForeignTable, design: Design) ->
     m = struts_of(design.mechanism)
     home = mechanisms.of(m).inverse(m.home, m) if m.kind == "hexapod" else m.strut_range.mean(axis=1)
     return _lengths(values, unit, table, m.strut_range, home)
+
+
+def _sliding(values: np.ndarray, stated: list[str | None], table: ForeignTable, arm: Arm) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
+    """((n, axes) rad and m, ForeignTable, sentences) of an arm with slides: each column in the unit that its header states, SI where none is."""
+    q = values.copy()
+    for i, (slide, unit) in enumerate(zip(arm.slides, stated)):
+        known, si = (units.LENGTHS, "m") if slide else (units.ANGLES, "rad")
+        if unit is not None and unit not in known:
+            raise RigError(f"{table.file}: {unit} is no unit of {arm.axes[i]}, which {'slides' if slide else 'turns'}; there are {', '.join(known)}")
+        q[:, i] /= known[unit or si]
+    if table.unit is not None or not units.fits(q, arm.limits):
+        raise RigError(f"{table.file}: joints that turn and joints that slide have no unit in common: state each column's in its header, as in "
+                       "q1 [deg] and q3 [mm]; unstated they are rad and m, and have to lie within the limits of rig.toml")
+    return q, table, ()
 
 
 def _angles(values: np.ndarray, unit: str | None, table: ForeignTable, limits: np.ndarray) -> tuple[np.ndarray, ForeignTable, tuple[str, ...]]:
