@@ -1,4 +1,4 @@
-"""Print every benchmark but the slow ones (certificate, reach), or those named: python -m tests.bench [way forward ...]."""
+"""Print every benchmark but the slow ones (certificate, reach, images), or those named: python -m tests.bench [way forward ...]."""
 
 import sys
 
@@ -12,6 +12,7 @@ from tests.bench import (
     driving,
     forward,
     growing,
+    images,
     lens,
     method,
     parameters,
@@ -22,7 +23,7 @@ from tests.bench import (
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method}  # minutes: only where they are named
+NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "images": images}  # minutes: where named
 
 
 def main():
