@@ -16,7 +16,7 @@ def test_cameras_and_lenses_make_up_what_is_shared():
     gain = rng.normal(size=(40, 6, 8))
     gain[:, :, 6] = -1e-3 * gain[:, :, 2]  # and poses feel their difference alone
     common = gain @ factor
-    measurement = SimpleNamespace(adjustment=SimpleNamespace(shared_factor=factor, shared_names=names))
+    measurement = SimpleNamespace(adjustment=SimpleNamespace(shared_factor=factor, shared_names=names, of_prints=np.zeros(len(names), bool)))
     cameras, lenses = by_part([(SimpleNamespace(common=common), measurement)])
     whole = rms(common @ np.swapaxes(common, 1, 2))
     known = np.linalg.inv(np.linalg.inv(factor @ factor.T)[:6, :6])  # covariance of the places were the lens known
