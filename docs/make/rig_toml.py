@@ -31,6 +31,8 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
     "[mechanism] kind = \"hexapod\"": (Hexapod, ""), "[mechanism] kind = \"planar2\"": (Planar2, ""),
     "[mechanism] kind = \"arm\"": (Arm, ""),
+    "[mechanism] kind = \"chain\"": (None, "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
+                                          "say more."),
     "[mechanism] kind = \"free\"": (None, "Moved by hand or by somebody else: there is nothing to command, and nothing else to state."),
     "[[camera]]": (Camera, "One for each camera."), "[[target]]": (Target, "One for each cube, or other body with markers."),
     "[target.faces]": (None, "Of a cube: which marker is on which face, `\"+x\" = 3`. Faces that are not stated carry none."),

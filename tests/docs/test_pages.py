@@ -9,12 +9,14 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from docs.make import commands, messages, rig_toml, tables
 from rig.cli import COMMANDS
 from rig.errors import FileError
+from rig.kinds import Mechanism
 from rig.recording import load
 from tests.docs import told
 
@@ -46,6 +48,10 @@ def test_every_key_that_the_reader_names_is_on_the_page_and_told():
     rows = dict(re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", rig_toml.page(), re.MULTILINE))
     assert len(keys_read()) > 50 and keys_read() - set(rows) == set()
     assert [key for key, words in rows.items() if not words] == []
+
+
+def test_every_kind_of_mechanism_is_on_the_page():
+    assert [kind.kind for kind in get_args(Mechanism) if f'\n## [mechanism] kind = "{kind.kind}"\n' not in rig_toml.page()] == []
 
 
 def test_every_file_of_a_recording_is_on_the_page():
