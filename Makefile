@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench clean
+.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench release clean
 
 setup: .venv/.ready
 
@@ -46,5 +46,8 @@ test-bounds: setup
 bench: setup
 	$(BIN)/python -m tests.bench
 
+release: setup
+	sh .ci/release
+
 clean:
-	rm -rf .venv out
+	rm -rf .venv out dist build

@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("out", "truth", "state", "draw")  # arguments that name what is written; all other paths are read
+WRITTEN = ("out", "truth", "state", "draw", "stl")  # arguments that name what is written; all other paths are read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
@@ -52,6 +52,7 @@ COMMANDS = {
     "view": "One frame of a recording with markers, axes and residuals drawn in.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
+    "check-print": "A photograph of a printed sheet -> the side that its markers really have.",
     "effects": "The left-out physics that is known: where it sits, its parameters, what exposes it, what to do.",
     "doctor": "What this computer has of what rig needs: packages, OpenGL, cameras, ports, space, threads.",
     "completion": "What makes bash, zsh or fish complete rig's commands and options.",

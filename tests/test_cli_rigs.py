@@ -53,22 +53,21 @@ def test_nets_are_true_to_scale(tmp_path):
     run("design", "--radius", "0.15", "--cubes", "2", "--out", tmp_path / "rig.toml")
     done = run("print", tmp_path / "rig.toml", "--out", tmp_path / "s.pdf")
     design = design_file.load(tmp_path / "rig.toml")
-    assert done.stdout.count("target ") == 4 and (tmp_path / "s.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "s.pdf").read_bytes().startswith(b"%PDF") and "assembly: A4" in done.stdout
     import cv2
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     from synthetic import sheets
 
     target = design.targets[0]
-    (_, width, height, draw), = sheets._pages(target)
-    figure = Figure(figsize=(width / 25.4, height / 25.4), dpi=254)  # 10 px to the millimetre
+    page, = sheets.pages_of(target, "A3")
+    figure, axes = sheets.blank(page.paper)
+    figure.set_dpi(254)  # 10 px to the millimetre
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, width), ylim=(0, height))
-    draw(axes, 0, 0)
+    sheets.draw(axes, page)
     figure.canvas.draw()
     grey = np.asarray(figure.canvas.buffer_rgba())[..., 0]
+    assert abs(grey.shape[1] / 10 - page.paper[0]) < 0.2
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, target.dictionary))
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(np.ascontiguousarray(grey))
     assert sorted(ids.ravel().tolist()) == sorted(target.ids)
