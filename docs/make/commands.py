@@ -18,7 +18,7 @@ def page() -> str:
     parts = [HEAD]
     for name, words in COMMANDS.items():
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
-        importlib.import_module(f"rig.commands.{name}").arguments(parser)
+        importlib.import_module(f"rig.commands.{name.replace('-', '_')}").arguments(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
         parts.append(f"\n## rig {name}\n\n{_cell(words)}\n\n{usage}\n")
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]

@@ -86,7 +86,7 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 
 def parsed(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(exit_on_error=False)
-    importlib.import_module(f"rig.commands.{words[0]}").arguments(parser)
+    importlib.import_module(f"rig.commands.{words[0].replace('-', '_')}").arguments(parser)
     return parser.parse_args(words[1:])
 
 
