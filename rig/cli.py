@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("out", "truth", "state", "draw", "stl")  # arguments that name what is written; all other paths are read
+WRITTEN = ("out", "truth", "state", "history", "draw", "stl")  # arguments that name what is written; all other paths are read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
@@ -33,6 +33,7 @@ COMMANDS = {
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with covariance.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
+    "watch": "Small visits held against a calibration day by day: whether it still holds, what changed, what to remeasure.",
     "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
     "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
     "lens": "Photographs of a board -> one camera's lens: models compared, a [[camera]] block.",

@@ -1,4 +1,4 @@
-"""Print every benchmark but the slow ones (certificate, reach, images), or those named: python -m tests.bench [way forward ...]."""
+"""Print every benchmark but the slow ones (certificate, reach, images, watch), or those named: python -m tests.bench [way forward ...]."""
 
 import sys
 
@@ -18,12 +18,14 @@ from tests.bench import (
     parameters,
     physics,
     reach,
+    watch,
     way,
 )
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "images": images}  # minutes: where named
+NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "images": images,
+         "watch": watch}  # minutes: only where they are named
 
 
 def main():

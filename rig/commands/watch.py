@@ -1,0 +1,113 @@
+"""rig watch CALIBRATION VISIT.. [--history FILE] | CALIBRATION --plan --out FILE."""
+
+from __future__ import annotations
+
+import json
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import SEED, Progress, add_force
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from calib.drift.evidence import Verdict
+    from calib.drift.history import History
+
+CHANGED = 3  # exit status where something changed
+POSES = 12
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
+    parser.add_argument("visits", metavar="VISIT", type=Path, nargs="*", help="small recordings, in the order in which they were taken")
+    parser.add_argument("--history", metavar="FILE", type=Path, help="go on from the visits kept there where the file is there, and keep these too")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of lines (m, rad)")
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
+    parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
+    parser.add_argument("--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does")
+    parser.add_argument("--count", type=int, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="for --plan: frame,l1..l6; `rig run RIG.toml --plan commands:FILE` visits them")
+    add_force(parser)
+
+
+def run(arguments: Namespace) -> int:
+    """Choose a visit's poses, or hold visits against a calibration and say what changed; 3 where something has."""
+    if arguments.plan:
+        if arguments.visits or arguments.history or arguments.out is None:
+            raise RigError("--plan takes --out FILE, and neither visits nor a --history")
+        _plan(arguments)
+        return 0
+    if arguments.out is not None or arguments.rig is not None:
+        raise RigError("--out and --rig are for --plan")
+    if not arguments.visits:
+        raise RigError("name the visits, recordings in the order in which they were taken; or --plan, for the poses that one visits")
+    return _watch(arguments)
+
+
+def _watch(arguments: Namespace) -> int:
+    from calib import store
+    from calib.drift import history_file, words
+    from calib.drift.history import History, take
+    from rig import recording as recordings
+
+    progress = Progress()
+    calibration, own = store.load(arguments.calibration), history_file.digest(arguments.calibration)
+    kept = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
+    known = arguments.history is not None and arguments.history.exists()
+    history = history_file.load(arguments.history, own) if known else History(own)
+    loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
+    told, changed = [], False
+    for k, recording in enumerate(loaded):
+        progress("visits", k, len(loaded))
+        scale = history.scale()
+        history, verdict = take(history, recording, calibration)
+        progress.close()
+        assert history.reference is not None
+        changed = verdict.alarm
+        told.append(_tree(verdict, history, scale))
+        if not arguments.json:
+            print("\n".join(words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)))
+    if kept is not None:
+        history_file.save(kept, history)
+    if arguments.json:
+        print(json.dumps({"schema": "verdict/1", "visits": told}, indent=1))
+    elif kept is not None:
+        print(f"{history.number} visits in {arguments.history}")
+    return CHANGED if changed else 0
+
+
+def _names(history: History) -> list[str]:
+    """The name of each visit, the oldest ones' by what they are kept as."""
+    return [visit.name for visit in history.visits for _ in range(visit.visits)]
+
+
+def _tree(verdict: Verdict, history: History, scale: float) -> dict:
+    """What JSON holds of a visit's verdict."""
+    named = verdict.named
+    return {"visit": history.visits[-1].name, "number": history.number, "changed": verdict.alarm, "log_sum": verdict.log_sum,
+            "misfit": {"square": verdict.square, "count": verdict.count, "repeats": scale},
+            "named": None if named is None or not verdict.alarm else named.name,
+            "suspects": [{"kind": one.kind, "name": one.name, "since": one.since + 1, "odds": one.odds, "value": one.value.tolist(),
+                          "sigma": one.sigma.tolist()} for one in verdict.suspects if one.odds > 1e-6]}
+
+
+def _plan(arguments: Namespace) -> None:
+    from calib import store
+    from calib.drift.visited import choose
+    from rig import design_file, writing
+
+    calibration = store.load(arguments.calibration)
+    design = design_file.load(arguments.rig) if arguments.rig else None
+    out = arguments.outputs.file(arguments.out)
+    progress = Progress()
+    chosen = choose(calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of))
+    progress.close()
+    writing.write_table(out, ("frame", *calibration.correction.fitted.axes),
+                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(chosen.commands)])
+    print(f"{arguments.count} poses; a pose measured to {chosen.sigmas[0] * 1e6:g} um and {chosen.sigmas[1] * 1e6:g} urad, one visit knows, all "
+          "other changes allowed for (k=1; beside it as many poses evenly spread):")
+    for name, sigma, even, unit in chosen.told():
+        print(f"  {name:24} {sigma:9.3g} {even:9.3g} {unit}")
+    print(f"written: {arguments.out}")
