@@ -79,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv, arguments.whole = argv, lambda: command_line(COMMANDS)
+    arguments.argv, arguments.all_commands = argv, lambda: command_line(COMMANDS)
     return _run(arguments)
 
 

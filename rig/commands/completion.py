@@ -16,7 +16,7 @@ def run(arguments: Namespace) -> None:
 
     import shtab
 
-    parser = arguments.whole()
+    parser = arguments.all_commands()
     commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     for command in commands.choices.values():
         for action in command._actions:

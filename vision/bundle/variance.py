@@ -18,6 +18,7 @@ from vision.observations import Observations, only, whitener
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
 TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
 PROOF = 12.1  # by which twice the log likelihood has to rise: one degree of freedom, a chance of 1 in 2000, and half the time nothing rises at all
+FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
 
@@ -42,6 +43,8 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
     a = fit.adjustment
     kept = replace(only(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
     good = fit.inliers[np.isin(observations.frame, fit.solved)]
+    if len(np.unique(kept.marker[good])) < FEWEST:
+        return fit
     printing = _printing(_told(kept.take(good), a, free))
     if printing is None:
         return fit
