@@ -84,6 +84,7 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
     assert "typo.json: no such file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsys):
     rec, again, limbs, state = limbed[1].folder, tmp_path / "again", tmp_path / "limbs.json", tmp_path / "state.json"
     shutil.copytree(rec.parent / "again", again)

@@ -157,6 +157,7 @@ def test_lines_come_seldom_and_none_means_none(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
     assert main(["check", str(BENCH / "fit"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": [], "remarks": []}
@@ -166,6 +167,7 @@ def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
     assert not told["usable"] and "rig.toml" in told["found"][0]["what"]
 
 
+@pytest.mark.slow
 def test_quiet_commands_keep_the_result_that_was_asked_for(tmp_path, capsys):
     assert main(["check", str(BENCH / "fit"), "--quiet"]) == 0 and capsys.readouterr().out == ""
     assert main(["check", str(BENCH / "fit"), "--quiet", "--json"]) == 0 and json.loads(capsys.readouterr().out)["usable"]

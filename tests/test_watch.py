@@ -38,6 +38,7 @@ def week(watched, tmp_path, capsys):
 @pytest.mark.parametrize("which, says, to_do", [("camera", "WHAT MEASURES HAS CHANGED", "clamp the mount"),
                                                 ("backlash", "NO LONGER HOLDS", "nut and bearings"),
                                                 ("payload", "NO LONGER HOLDS", "payload_mass_kg")])
+@pytest.mark.slow
 def test_what_changed_is_named_with_what_to_do(watched, week, tmp_path, which, says, to_do, capsys):
     base, one = watched
     rng = np.random.default_rng(5)
@@ -53,6 +54,7 @@ def test_what_changed_is_named_with_what_to_do(watched, week, tmp_path, which, s
     assert 0.99 < sum(one["odds"] for one in told["suspects"]) <= 1.0001
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
     """Three struts' zeros and two nuts at once: none of the hypotheses alone explains that."""
     base, one = watched

@@ -79,6 +79,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
     assert blocked([0, 0, -0.5], [0.1, 0, 0.1])  # through the base
 
 
+@pytest.mark.slow
 def test_corners_of_a_picture_are_those_of_the_simulation(design, rig_text, tmp_path, opengl):
     rng = np.random.default_rng(2)
     s = simulation.simulate(world.draw(design, rng), plan.build(design, "sobol:1"), rng)

@@ -128,6 +128,7 @@ def test_a_limb_that_slips_30_um_is_noticed_within_five_poses(accepted, again, l
 
 
 @pytest.mark.parametrize("limb, at", [(3, 35), (6, 60)])
+@pytest.mark.slow
 def test_limbs_that_slip_while_they_are_held_against_vision_are_not_accepted(limbed, by_vision, limb, at):
     design, read, _ = limbed
     for by in (0.0, 3e-5):
