@@ -43,12 +43,14 @@ def test_few_rows_and_no_log_stay():
     np.testing.assert_array_equal(smoothed(few)[0].channels["ambient_temperature_C"], few.channels["ambient_temperature_C"])
 
 
+@pytest.mark.slow
 def test_noise_of_a_thermometer_does_not_hide_a_strong_effect(tmp_path, design):
     rec = recorded(tmp_path, design, ["focal_drift:camera cam1:per_kelvin=4e-4"], route="sobol:100,ladder:2,sobol:100")
     found = diagnose(rec, only=["focal_drift", "camera_drift"])
     assert [(e.name, e.place) for e in found.effects] == [("focal_drift", "camera cam1")] and not found.left
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_the_thermometer_leaves_open(tmp_path, design):
     rec = recorded(tmp_path, design, ["thermal_expansion:strut2:coefficient=6e-5", "focal_drift:camera cam1:per_kelvin=2e-4"],
                    route="sobol:60,ladder:2,sobol:60")

@@ -80,6 +80,7 @@ def test_effects_are_no_mistakes(effect, tmp_path):
     assert said("check", tmp_path / "rec") == (0, "nothing wrong or unlikely was found\n")
 
 
+@pytest.mark.slow
 def test_measure_refuses_what_is_spoilt_and_does_it_anyway(good, tmp_path):
     folder = tmp_path / "rec"
     shutil.copytree(good("corners"), folder)

@@ -57,6 +57,7 @@ def test_a_copy_cut_short_renumbered_and_by_another_clock_is_known_again(two, tm
     assert provenance.shared(of(folder), known(two / "fit")) == list(range(100, 112))
 
 
+@pytest.mark.slow
 def test_images_and_what_was_measured_from_them_are_the_same_data(tmp_path):
     assert cli.main(["measure", str(BENCH / "check"), "--out", str(tmp_path / "m")]) == 0
     shutil.copytree(BENCH / "check", tmp_path / "copy")
@@ -93,6 +94,7 @@ def test_verify_holds_out_another_recording(two, capfd):
     assert json.loads(capfd.readouterr().out)["held_out"] is True
 
 
+@pytest.mark.slow
 def test_on_line_learning_takes_each_frame_once(two, tmp_path, capfd):
     state = tmp_path / "state.json"
     for rec, status in (("fit", 0), ("fit", 1), ("measured", 1), ("check", 0), ("check", 1)):

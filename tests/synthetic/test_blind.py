@@ -218,6 +218,7 @@ def test_a_scheduler_without_dask_is_said(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 def test_a_campaign_on_a_cluster(tmp_path):
     from dask.distributed import LocalCluster
 

@@ -37,6 +37,7 @@ def recordings(design, seeds, frames):
         yield m, difference(m.T_base_platform, T)
 
 
+@pytest.mark.slow
 def test_covariance_is_true_with_cameras_adjusted(design):
     """The poses of a recording share the cameras' error; taken together, 40 recordings leave 1 % of room for chance."""
     chi2, count = 0.0, 0
@@ -59,6 +60,7 @@ def test_stated_covariance_is_brought_to_the_scatter_seen(design):
     assert m.noise == pytest.approx(0.08, rel=0.03) and m.factor == pytest.approx(64, rel=0.06)
 
 
+@pytest.mark.slow
 def test_errors_that_come_back_in_every_frame_are_not_averaged_away(design):
     ratios = []
     for seed in range(30, 42):
@@ -132,6 +134,7 @@ def correlated(observations, rng, sigma):
     return replace(o, uv=uv, covariance=own, correlation=correlation_of(C).reshape(-1, 2, 8), stated=True)
 
 
+@pytest.mark.slow
 def test_corners_of_a_marker_are_weighed_together(design):
     together, apart, gain = [], [], []
     for seed in range(60, 76):

@@ -40,6 +40,7 @@ def agrees(design, text, folder, seed, count, home, noise):
 
 @pytest.mark.parametrize("noise", [0.04, 0.004])
 @pytest.mark.parametrize("home", [False, True], ids=["", "home"])
+@pytest.mark.slow
 def test_few_frames_are_measured(design, rig_text, tmp_path, home, noise):
     scores = [agrees(design, rig_text, tmp_path / str(count), 40 + count, count, home, noise) for count in (1, 2, 4)]
     assert max(scores) < 25  # of 6 on average

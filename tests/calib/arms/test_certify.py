@@ -167,6 +167,7 @@ def test_positions_alone_calibrate_no_hexapod(tmp_path, design, rig_text, capsys
 
 
 @pytest.mark.parametrize("count", range(1, 16))
+@pytest.mark.slow
 def test_few_poses_are_fitted_or_say_what_it_takes(count):
     rng = np.random.default_rng(count)
     samples = worlds.tracked(worlds.secret(UR10, rng), UR10, count, rng)

@@ -44,6 +44,7 @@ def test_corrected_poses_are_exact_at_the_samples(gridded, design, alone):
     assert (done.correction.fitted is done.correction.nominal) == alone
 
 
+@pytest.mark.slow
 def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
     samples, true = gridded
     done, tried = certify_extended(samples, design.mechanism, Asked("auto", False), np.random.default_rng(0))

@@ -100,6 +100,7 @@ def test_limbs_of_another_rig_do_not_stand_for_vision(accepted, limbed, tmp_path
         limbs_file.in_force(path, design)
 
 
+@pytest.mark.slow
 def test_learning_from_limbs_alone_agrees_with_vision_within_its_covariance(accepted, again, limbed):
     nominal = limbed[0].mechanism
     by_limbs = limb_source.sampled(again, limb_source.read(again, accepted)).samples
