@@ -61,7 +61,7 @@ def test_tolerances_are_not_at_work_where_nothing_is_off(tmp_path, design):
     point = of_recording(recorded(tmp_path, design, [], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)
     found = tolerated.tolerated(model, sensitivities)
-    assert not tolerated.at_work(model, found) and tolerated.slight(model, found) == []
+    assert not tolerated.at_work(found.projected(model), found.sigma) and tolerated.slight(model, found) == []
     tolerant = tolerated.beside(model, found)
     assert tolerant.size <= model.size and tolerant.linear.cost() <= model.linear.cost()
     basis, closures = tolerant.linear.columns.parts, tolerant.closure_residual
@@ -76,7 +76,7 @@ def test_a_prior_holds_what_tolerances_explain(tmp_path, design):
     found = tolerated.tolerated(model, sensitivities)
     seen = model.linear.project(found.column(model))
     best = np.linalg.solve(seen.gram + np.diag(found.sigma**-2.0), seen.right)
-    assert tolerated.at_work(model, found)
+    assert tolerated.at_work(found.projected(model), found.sigma)
     assert tolerated.beside(model, found).linear.cost() == pytest.approx(model.linear.cost() - seen.right @ best, rel=1e-9)
     assert found.sigma[1] == PLACES.sigma and found.sites[1].effect == "face_misplacement"
 
@@ -124,7 +124,8 @@ def test_tolerances_come_in_where_they_explain_more_than_the_best_candidate(tmp_
     candidates, _ = platform_candidates(point, Asked.of(["backlash", "face_misplacement"], (), UNSAID))
     problem = PlatformProblem(point, candidates)
     fit = problem.start()
-    assert tolerated.at_work(fit.refined.model, tolerated.tolerated(fit.refined.model, problem.sensitivities))
+    found = tolerated.tolerated(fit.refined.model, problem.sensitivities)
+    assert tolerated.at_work(found.projected(fit.refined.model), found.sigma)
     best = problem.search(problem.residual(fit), candidates)[0]
     assert problem.tolerates(fit, best) is first and problem.tolerant is first
     assert not problem.tolerates(fit, None) if first else problem.tolerates(fit, None)  # once; alone, whatever they explain is theirs

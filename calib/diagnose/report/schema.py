@@ -125,7 +125,7 @@ class ShareEntry:
 
 @dataclass(frozen=True, slots=True)
 class CovariateEntry:
-    """What is left against one covariate. explains : {"struts" | "images" | "poses": ShareEntry}"""
+    """What is left against one covariate. explains : {"struts" | "images" | "joints": ShareEntry}"""
 
     name: str
     explains: dict[str, ShareEntry]

@@ -34,11 +34,7 @@ def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
         ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
         edges = edge_pixels(k)
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
-    return convincing([u for found in parallel_map(_asked, asked) for u in found])
-
-
-def _asked(question: Callable[[], list[LackOfFit | None]]) -> list[LackOfFit | None]:
-    return question()
+    return convincing([u for found in parallel_map(lambda question: question(), asked) for u in found])
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:

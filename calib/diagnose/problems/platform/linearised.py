@@ -5,7 +5,7 @@ commands. Corners' noise splits into the two without correlation, so together th
 thousands of hypotheses runs on inner products alone.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jaco
 from rig.tolerances import FINDER
 
 CORNERS, CLOSURES = 0, 1  # the blocks
-KEPT = 0.1  # of all corners; where a candidate moves more, others move the same ones
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
 ROUNDS = 3  # of weighing the struts anew by their scatter
@@ -65,20 +64,6 @@ class Nuisances:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CornerSubset:
-    """Some h of the observed corners, frame by frame. by : (h,) their order; whiten : (h, 2, 2) 1/px; basis : (2h, p) of the nuisances there
-    residual : (2h,); local : (2h, L) basis of each frame's own poses; frames : (g,) that show any; starts : (g,) their first of the 2h rows"""
-
-    by: np.ndarray
-    whiten: np.ndarray
-    basis: np.ndarray
-    residual: np.ndarray
-    local: np.ndarray
-    frames: np.ndarray
-    starts: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LinearisedModel:
     """All that an OperatingPoint leaves, linear about it. linear : LinearModel of the blocks corners (px) and closures (m); point : OperatingPoint
     corners : CornerFrames; closures : ClosureFrames; nuisances : Nuisances"""
@@ -88,25 +73,6 @@ class LinearisedModel:
     corners: CornerFrames
     closures: ClosureFrames
     nuisances: Nuisances
-    _rows: dict[bytes, "CornerSubset"] = field(init=False, default_factory=dict)
-
-    def subset(self, hit: np.ndarray) -> "CornerSubset":
-        """CornerSubset of observed corners hit (h,). Those of whole cameras, which many candidates move, are kept."""
-        key = hit.tobytes()
-        if key in self._rows:
-            return self._rows[key]
-        c = self.corners
-        at = np.empty(len(c.order), int)
-        at[c.order] = np.arange(len(c.order))
-        by = np.argsort(at[hit])
-        rows = at[hit[by]]
-        both = (2 * rows[:, None] + np.arange(2)).ravel()
-        frames, starts = np.unique(self.point.observed.observations.frame[hit[by]], return_index=True)
-        found = CornerSubset(by, c.whiten[rows] / c.sigma, self.linear.columns.whole[CORNERS][both], self.corner_residual[both], c.local[both],
-                             frames, 2 * starts)
-        if len(hit) > KEPT * len(at) and len(self._rows) < len(self.point.design.cameras):
-            self._rows[key] = found
-        return found
 
     @property
     def frames(self) -> int:

@@ -60,8 +60,11 @@ class PlatformProblem:
             return False
         model = fit.refined.marginalised
         found = tolerated.tolerated(model, self.sensitivities)
-        if found is not None and tolerated.at_work(model, found):
-            self.tolerant = best is None or tolerated.evidence(model, found) > float(best.raw_delta_bic(model.size))
+        if found is None:
+            return False
+        seen = found.projected(model)
+        if tolerated.at_work(seen, found.sigma):
+            self.tolerant = best is None or tolerated.evidence(seen, found.sigma) > float(best.raw_delta_bic(model.size))
         return self.tolerant
 
     def terms(self, fit: PlatformFit) -> list[PlatformCandidate]:

@@ -43,15 +43,13 @@ def set_apart(problem: PlatformProblem, selection: PlatformSelection,
             matters.append(f)
         else:
             small.append((f, reason))
-    stays = left
-    if left and not known:
-        model, more = fit.refined.marginalised, tolerated(fit.refined.marginalised, problem.sensitivities)
-        stays = left if more is None else problem.lack_of_fit(beside(model, more))
+    model = fit.refined.marginalised
+    found = tolerated(model, problem.sensitivities) if known or left else None
+    stays = left if known or found is None else problem.lack_of_fit(beside(model, found))
     gone = [(u, TOGETHER) for u in left if not any(u.place == v.place for v in stays)]
     tiny = [(u, STILL.reason) for u in stays if u.unit == "px" and set(u.depends_on) & set(LASTING) and u.magnitude < STILL.limit]
     stays = [u for u in stays if not any(u is v for v, _ in tiny)]
-    found = tolerated(fit.refined.marginalised, problem.sensitivities) if known else None
-    sites = [] if found is None else slight(fit.refined.marginalised, found)
+    sites = slight(model, found) if known and found is not None else []
     return replace(selection, findings=matters), stays, Remarks(small, [*gone, *tiny], sites)
 
 

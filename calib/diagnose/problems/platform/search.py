@@ -20,7 +20,6 @@ from rig.effects.base import Motion
 from vision.bundle.derivatives import derivatives
 
 CHUNK = 64  # nodes at a time
-LARGE = 1 << 18  # numbers, from which products are formed frame by frame
 
 
 def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
@@ -115,19 +114,24 @@ def corner_products(model: LinearisedModel, pixels: np.ndarray) -> FrameProducts
 def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inner.Normal:
     """Normal of one candidate that moves observed corners hit (h,) by pixels (h, 2, q) px per unit of each of its parameters, the same in every
     frame: what `stepwise` makes of `corner_products` with weights of one."""
-    k, c = model.point, model.subset(hit)
-    V = np.einsum("hij,hjq->hiq", c.whiten, pixels[c.by]).reshape(2 * len(hit), -1)
-    q, axes = V.shape[1], k.axes
-    b, raw, K = V.T @ c.residual, V.T @ V, c.basis.T @ V
-    if V.size > LARGE:
-        own = np.array([c.local[a:b].T @ V[a:b] for a, b in zip(c.starts, np.r_[c.starts[1:], len(V)])])
-    else:
-        own = np.add.reduceat(c.local[:, :, None] * V[:, None, :], c.starts, axis=0) if len(hit) else np.zeros((0, c.local.shape[1], q))
+    k, c = model.point, model.corners
+    at = np.empty(len(c.order), int)
+    at[c.order] = np.arange(len(c.order))
+    by = np.argsort(at[hit])
+    rows = at[hit[by]]
+    both = (2 * rows[:, None] + np.arange(2)).ravel()
+    V = (np.einsum("hij,hjq->hiq", c.whiten[rows], pixels[by]) / c.sigma).reshape(2 * len(rows), -1)
+    q, basis = V.shape[1], model.linear.columns.whole
+    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, basis[CORNERS][both].T @ V
+    frames, starts = np.unique(k.observed.observations.frame[hit[by]], return_index=True)
+    own, local = np.zeros((len(frames), c.local.shape[1], q)), c.local[both]
+    for f, (first, end) in enumerate(zip(2 * starts, np.r_[2 * starts[1:], len(V)])):
+        own[f] = local[first:end].T @ V[first:end]
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
-    if axes:
-        moved = (model.closures.to_rows[c.frames] @ own).reshape(-1, q)
-        here = (axes * c.frames[:, None] + np.arange(axes)).ravel()
-        b, G, K = b + moved.T @ model.closure_residual[here], G + moved.T @ moved, K + model.linear.columns.whole[CLOSURES][here].T @ moved
+    if k.axes:
+        moved = (model.closures.to_rows[frames] @ own).reshape(-1, q)
+        here = (k.axes * frames[:, None] + np.arange(k.axes)).ravel()
+        b, G, K = b + moved.T @ model.closure_residual[here], G + moved.T @ moved, K + basis[CLOSURES][here].T @ moved
     K = model.linear.onto(K.T).T
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 

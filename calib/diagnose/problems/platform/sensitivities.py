@@ -1,6 +1,5 @@
 """What effects do to axes and corners, at one operating point: the columns of the linear model."""
 
-import inspect
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,8 +56,8 @@ class Sensitivities:
 
     def _bending(self, candidate: PlatformCandidate) -> tuple[np.ndarray, np.ndarray] | None:
         """The same of what bends one camera's image and says how, None for anything else."""
-        kind, name = candidate.place.partition(" ")[::2]
-        if kind != "camera" or inspect.getattr_static(candidate.kind, "bending") is inspect.getattr_static(Effect, "bending"):
+        where, name = candidate.place.partition(" ")[::2]
+        if where != "camera":
             return None
         rows = self._rows(candidate.place)
         found = candidate.kind.bending(self.point.design.camera(name), self._quads(rows)[0], candidate.spec.linear)

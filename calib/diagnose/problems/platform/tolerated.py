@@ -134,18 +134,20 @@ def _courses(k: OperatingPoint) -> np.ndarray:
     return np.einsum("fs,ab->fabs", cosines(k.t, SLOW), np.eye(k.axes)).reshape(len(k.t), k.axes, -1)
 
 
-def at_work(model: LinearisedModel, found: Tolerated) -> bool:
-    """Whether tolerances, all together and each within its own, explain more than chance does."""
-    seen = found.projected(model)
-    solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), found.sigma)
+def at_work(seen: Projection, sigma: np.ndarray) -> bool:
+    """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain more than chance does."""
+    solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
     return bool(chi2.sf(solved.delta_chi2[0], max(solved.rank[0], 1.0)) < ALPHA)
 
 
-def evidence(model: LinearisedModel, found: Tolerated) -> float:
-    """Twice the logarithm of how much likelier the residuals are beside tolerances than without: their marginal likelihood, sizes normal."""
-    seen = found.projected(model)
-    scaled = np.eye(len(found.sigma)) + found.sigma[:, None] * seen.gram * found.sigma
-    right = found.sigma * seen.right
+def evidence(seen: Projection, sigma: np.ndarray) -> float:
+    """Twice the logarithm of how much likelier the residuals of a model are beside tolerances, as they are projected on it, than without: their
+    marginal likelihood, sizes normal with standard deviations sigma (q,).
+
+    Source: MacKay, Information theory, inference and learning algorithms, 2003, ch. 28
+    """
+    scaled = np.eye(len(sigma)) + sigma[:, None] * seen.gram * sigma
+    right = sigma * seen.right
     return float(right @ np.linalg.solve(scaled, right) - np.linalg.slogdet(scaled)[1])
 
 
