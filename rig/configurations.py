@@ -110,9 +110,7 @@ def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.nd
 def along_and_about(design: Design, per_axis: int = 9) -> np.ndarray:
     """(6 per_axis, 6) commands of the translations along and rotations about X, Y and Z through home, as far as the struts reach
     (on-line learning patent, [0011]-[0015]). Raises RigError for a mechanism that is no hexapod."""
-    mechanism = design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"axes plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    mechanism = _hexapod(design, "axes plans are for hexapods")
     return _through_home(mechanism, np.eye(6), per_axis)
 
 
@@ -122,11 +120,16 @@ def combined(design: Design, per_pair: int = 6) -> np.ndarray:
 
     Raises RigError for a mechanism that is no hexapod
     """
-    mechanism = design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"combined plans are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
+    mechanism = _hexapod(design, "combined plans are for hexapods")
     alone = np.diag(_reach(mechanism, np.eye(6)))
     return _through_home(mechanism, np.array([along + sign * about for along in alone[:3] for about in alone[3:] for sign in (1, -1)]), per_pair)
+
+
+def _hexapod(design: Design, what: str) -> Hexapod:
+    """A design's mechanism. Raises RigError for one that is no hexapod, of which `what` says the rest."""
+    if not isinstance(design.mechanism, Hexapod):
+        raise RigError(f"{what}, not for a mechanism of kind {design.mechanism.kind!r}")
+    return design.mechanism
 
 
 def _through_home(mechanism: Hexapod, ways: np.ndarray, count: int) -> np.ndarray:
@@ -150,24 +153,12 @@ def _reach(mechanism: Hexapod, ways: np.ndarray) -> np.ndarray:
 def iso9283(design: Design) -> np.ndarray:
     """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach about home, P2 to P5 on the
     diagonals of a plane through four of its corners, a tenth of the diagonal from each. Raises RigError for a mechanism that is no hexapod."""
-    mechanism = design.mechanism
-    if mechanism.kind != "hexapod":
-        raise RigError(f"ISO 9283's poses are planned for hexapods, not for a mechanism of kind {mechanism.kind!r}")
-    module, middle = mechanisms.of(mechanism), mechanism.strut_range.mean(axis=1)
+    mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
     corners = np.array(list(product((-1.0, 1.0), repeat=3)))
-    low, high = 0.0, 1.0
-    for _ in range(40):
-        half = (low + high) / 2
-        lengths = module.inverse(_moved(mechanism, half * corners), mechanism)
-        inside = not module.limits(middle + (lengths - middle) / FILL, mechanism).any()
-        low, high = (half, high) if inside else (low, half)
+    half = _reach(mechanism, np.pad(corners, ((0, 0), (0, 3)))).min()
     plane = corners[corners[:, 1] == corners[:, 2]]
-    return module.inverse(_moved(mechanism, low * np.concatenate([np.zeros((1, 3)), DIAGONAL * plane])), mechanism)
-
-
-def _moved(mechanism: Hexapod, offsets: np.ndarray) -> RigidTransform:
-    """Home moved by offsets (n, 3) m along the base's axes."""
-    return RigidTransform.from_translation(offsets) * mechanism.home
+    offsets = half * np.concatenate([np.zeros((1, 3)), DIAGONAL * plane])
+    return mechanisms.of(mechanism).inverse(_shifted(mechanism, np.pad(offsets, ((0, 0), (0, 3)))), mechanism)
 
 
 def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:
