@@ -5,8 +5,8 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import qmc
 
 from rig import mechanisms, table
 from rig.design import Design, Hexapod
@@ -21,7 +21,7 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
     """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
-    points = qmc.Sobol(len(strokes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
+    points = scipy.stats.qmc.Sobol(len(strokes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     return scaled(strokes, 2 * points - 1, fill)
 
 

@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from rig.kernel import njit
 
 
 class Footprint(NamedTuple):

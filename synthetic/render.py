@@ -17,12 +17,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numba import njit
-from scipy.interpolate import RectBivariateSpline
+import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera, Design
 from rig.errors import MissingLibrary
+from rig.kernel import njit
 from rig.pose import exp
 from synthetic.ink import bilinear, lay
 from synthetic.scene import Ink, BLACK, WHITE, Part, body_poses, shade
@@ -191,7 +191,7 @@ class _Pinhole:
         margin = 4
         self.intrinsics = (*focal, *(margin - low))
         self.size = tuple(int(n) for n in np.ceil(high - low + 2 * margin))
-        self.splines = [RectBivariateSpline(nodes_v, nodes_u, ideal[..., k]) for k in range(2)]
+        self.splines = [scipy.interpolate.RectBivariateSpline(nodes_v, nodes_u, ideal[..., k]) for k in range(2)]
         x, y = (spline(_fine(0, camera.height * SAMPLES), _fine(0, camera.width * SAMPLES)) * focal[k] + margin - low[k]
                 for k, spline in enumerate(self.splines))
         self.places = np.stack([x, self.size[1] - 1 - y], axis=-1).astype(np.float32)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
+import scipy
 
 from rig import json_file
 from rig.effects import BY_NAME
@@ -114,8 +114,8 @@ def share(name: str, flags: list[bool], goal: float | None = None) -> Figure:
 def clopper_pearson(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
     """(low, high) of the exact interval of a share. Source: Clopper and Pearson, Biometrika 26, 1934"""
     tail = (1 - level) / 2
-    low = float(beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
+    low = float(scipy.stats.beta.ppf(tail, hits, trials - hits + 1)) if hits else 0.0
+    high = float(scipy.stats.beta.ppf(1 - tail, hits + 1, trials - hits)) if hits < trials else 1.0
     return low, high
 
 

@@ -23,6 +23,14 @@ def test_help_imports_nothing_heavy():
     assert "measure" in out and "HEAVY set()" in out
 
 
+def test_what_reads_a_recording_opens_nothing_that_it_does_not_need_yet(tmp_path):
+    code = ("import sys; from rig.cli import main\n"
+            f"for name in ('measure', 'calibrate', 'diagnose'): main([name, {str(tmp_path / 'none')!r}, '--out', {str(tmp_path / 'out')!r}])\n"
+            "heavy = {'cv2', 'matplotlib', 'numba', 'pyrender', 'scipy.interpolate', 'scipy.optimize', 'scipy.stats', 'trimesh'}\n"
+            "print('HEAVY', heavy & set(sys.modules), 'numpy' in sys.modules)")
+    assert "HEAVY set() True" in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
 def test_no_file_outgrows_its_room():
     files = [path for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")]
     sizes = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}

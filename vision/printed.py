@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera, Design
@@ -139,7 +139,7 @@ def _plane(seen: np.ndarray, side: np.ndarray) -> np.ndarray:
     def residual(p: np.ndarray) -> np.ndarray:
         return (_projected(p, side) - seen).ravel()
 
-    done = least_squares(residual, x, x_scale=scale, method="lm" if len(seen) > 1 else "trf")
+    done = scipy.optimize.least_squares(residual, x, x_scale=scale, method="lm" if len(seen) > 1 else "trf")
     return np.append(done.x[:8], 1.0).reshape(3, 3)
 
 

@@ -1,9 +1,9 @@
 """How much poses scatter beyond what their instrument says, told from the middle of the residuals so that a few wild ones say little."""
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
-MIDDLE = float(chi2.median(3))  # of the squared length of three normal numbers
+MIDDLE = float(chdtri(3, 0.5))  # of the squared length of three normal numbers
 FAR = 1e-3  # chance of a length beyond which a pose counts less
 EXCESS = 3.0  # standard errors by which scatter must exceed the instrument's own before it counts
 
@@ -18,7 +18,7 @@ def beyond(left: np.ndarray, own: np.ndarray, share: float = 0.0) -> np.ndarray:
         if left[:, part].size:
             length, stated = (left[:, part] ** 2).sum(axis=1), float(np.einsum("mkk->mk", own)[:, part].mean())
             count = min(3, left.shape[1])
-            middle = max(float(np.median(length)) / (MIDDLE if count == 3 else float(chi2.median(count))), stated)
+            middle = max(float(np.median(length)) / (MIDDLE if count == 3 else float(chdtri(count, 0.5))), stated)
             tail = bounded(length / middle, count)
             seen = float(tail @ length) / float(tail.sum()) / count / (1 - share)
             if seen > stated * (1 + EXCESS * np.sqrt(2 / left[:, part].size)):
@@ -29,4 +29,4 @@ def beyond(left: np.ndarray, own: np.ndarray, share: float = 0.0) -> np.ndarray:
 def bounded(length: np.ndarray, count: int) -> np.ndarray:
     """(m,) weights of poses by the squared length (m,) of their `count` whitened numbers: 1 up to what noise shows, beyond so that weight times
     length stays the same. No wild pose counts for more than the wildest of noise, and none is thrown away before all is explained."""
-    return np.minimum(1.0, float(chi2.isf(FAR, count)) / np.maximum(length, 1e-300))
+    return np.minimum(1.0, float(chdtri(count, FAR)) / np.maximum(length, 1e-300))

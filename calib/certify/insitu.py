@@ -8,8 +8,8 @@ on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
 
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples, blocks
@@ -176,4 +176,4 @@ def agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.nd
 def still_agrees(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
     d = difference(T_vision, T_limbs)
-    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < chi2.isf(TRUST, 6))
+    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.stats.chi2.isf(TRUST, 6))

@@ -10,7 +10,7 @@ docs/mathematics.md (24)
 from math import ceil, floor, log
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 from scipy.special import betainc, xlogy
 
 from rig.errors import NotEnoughData
@@ -49,7 +49,7 @@ def beyond(n: int, coverage: float, confidence: float) -> float:
     def chance(k: float) -> float:
         return float(betainc(n - k, k + 1, coverage)) - (1 - confidence)
 
-    return 0.0 if chance(0.0) >= 0 else float(brentq(chance, 0.0, n - 1.0, xtol=1e-10))
+    return 0.0 if chance(0.0) >= 0 else float(scipy.optimize.brentq(chance, 0.0, n - 1.0, xtol=1e-10))
 
 
 def within(n: int, coverage: float, confidence: float) -> float | None:
@@ -58,7 +58,7 @@ def within(n: int, coverage: float, confidence: float) -> float | None:
     def chance(k: float) -> float:
         return float(betainc(k, n - k + 1, 1 - coverage)) - (1 - confidence)
 
-    return None if chance(float(n)) > 0 else float(brentq(chance, 1e-9, float(n), xtol=1e-10))
+    return None if chance(float(n)) > 0 else float(scipy.optimize.brentq(chance, 1e-9, float(n), xtol=1e-10))
 
 
 def upper(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
-from scipy.stats import chi2
 
 from calib.drift.hypotheses import SIZES, SOMETHING, Hypothesis
 from calib.drift.linear import Equations
@@ -99,9 +99,9 @@ def judge(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], sca
     suspects = _ranked(found, log_sum)
     best = suspects[0]
     square = sum(a for a, _ in squares) / scale - drop.get((best.name, best.since), 0.0)
-    left = float(chi2.sf(square, sum(count for _, count in squares)))
+    left = float(scipy.stats.chi2.sf(square, sum(count for _, count in squares)))
     if alone:
-        return Verdict(*squares[0], 0.0, suspects, left, float(chi2.sf(squares[0][0], squares[0][1])))
+        return Verdict(*squares[0], 0.0, suspects, left, float(scipy.stats.chi2.sf(squares[0][0], squares[0][1])))
     return Verdict(*squares[-1], log_sum, suspects, left)
 
 

@@ -9,7 +9,8 @@ a Stewart platform, ICRA 1993; the on-line learning patent for Stewart platforms
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from rig.kernel import njit
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40

@@ -7,7 +7,7 @@ leaves must be no more than noise. The simplest that does wins; where two equall
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 JUMP = 5.3  # standard errors of a strut's jump: one in ten million quiet ones; there are a dozen chances at every pose
 RARE = 1e-8  # of the same for what has more freedom
@@ -16,8 +16,8 @@ APART = 15.0  # of misfit by which the measuring frame's motion and jumps of sev
 DECIDES = 3  # poses from which the better of the two is taken, however little it is
 CLEARLY = 9.0  # likelihood ratio that every pose must give a knocked joint
 COUNTS = 4.0  # standard errors from which one strut of several counts as having jumped
-MOVED = {k: float(chi2.isf(RARE, k)) for k in range(1, 7)}
-MISFIT = {k: float(chi2.isf(LEFT, k)) for k in range(1, 19)}
+MOVED = {k: float(chdtri(k, RARE)) for k in range(1, 7)}
+MISFIT = {k: float(chdtri(k, LEFT)) for k in range(1, 19)}
 SUSPECT = MOVED[6]  # innovation squared beyond which a pose is held until the next one
 
 

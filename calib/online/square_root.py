@@ -10,10 +10,10 @@ Discrete Sequential Estimation, 1977; Willsky and Jones, IEEE Trans. Automatic C
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from calib.identify.closed_loop import Measured, pose_of, row
 from calib.online.change_detection import JUMP, MOVED
+from rig.kernel import njit
 
 WINDOW = 3  # poses within which a change must show
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base

@@ -1,9 +1,9 @@
 """The play operator, walked along a whole path: what is left of history in an axis."""
 
 import numpy as np
-from numba import njit
 
 from rig.effects.motion import Motion
+from rig.kernel import njit
 
 
 def play(lengths: np.ndarray, half: float) -> np.ndarray:

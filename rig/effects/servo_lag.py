@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 
 from rig.effects.base import Effect, Motion, Parameter, Path
 from rig.effects.covariate import Covariate, travel
+from rig.kernel import njit
 
 AFTER = np.array([0.25, 0.5, 1, 2, 4, 8])  # time constants after a change of speed at which the path gets a knot
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.covariate import Covariate, travel
@@ -87,4 +87,4 @@ class TransmissionError(Effect):
 def basis(q: np.ndarray, span: tuple[float, ...] | np.ndarray, values: np.ndarray) -> np.ndarray:
     """(n, ...) natural cubic splines through values (knots, ...) at even knots over a span, at q (n,)."""
     low, high = span
-    return CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(np.clip(q, low, high))
+    return scipy.interpolate.CubicSpline(np.linspace(low, high, len(values)), values, bc_type="natural")(np.clip(q, low, high))

@@ -5,8 +5,8 @@ Source: patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spher
 """
 
 import numpy as np
-from numba import njit
 
+from rig.kernel import njit
 from rig.mechanisms.regression import (ELBOW, FREE, OFF_AXIS, SHOULDER, SINGULAR, SLACK, TOO_FAR, TOO_NEAR, TURNED_AWAY, WRIST, about, add, angle,
                                        around, cross, dot, elbows, readings, row, seen, shoulder, wrapped)
 

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from rig.kernel import njit
 from rig.processes import cores
 
 WIDTH = 8  # lanes: doubles of a 512-bit register, two registers of 256 bits

@@ -9,7 +9,8 @@ quantity between them is taken from factors and differences that keep its digits
 from math import atan2, sqrt
 
 import numpy as np
-from numba import njit
+
+from rig.kernel import njit
 
 SLACK = 1e-10  # m or rad; by so much a pose may lie beyond the edge of the reach before it counts as unreachable
 SINGULAR = 1e-6  # sine (or share of a length) below which a joint's two readings count as one

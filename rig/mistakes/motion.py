@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment, minimize_scalar
+import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import table
@@ -134,7 +134,7 @@ def _struts(moves: Moves) -> Iterator[Candidate]:
     a, b = L - L.mean(axis=0), moves.q - moves.q.mean(axis=0)
     size = np.sqrt((a**2).sum(axis=0))[:, None] * np.sqrt((b**2).sum(axis=0)) + 1e-30
     C = a.T @ b / size  # (struts, columns)
-    order = linear_sum_assignment(-np.abs(C))[1]
+    order = scipy.optimize.linear_sum_assignment(-np.abs(C))[1]
     signs = np.sign(C[np.arange(6), order])
     listed = ", ".join(f"strut {i + 1} is column l{k + 1}" for i, k in enumerate(order) if i != k)
     if listed:
@@ -216,7 +216,7 @@ def _scaled(moves: Moves, name: str) -> Iterator[Candidate]:
     def wider(share: float) -> Moves:
         return replace(moves, mechanism=replace(moves.mechanism, **{name: getattr(moves.mechanism, name) * [share, share, 1]}))
 
-    best = minimize_scalar(lambda share: wider(share).miss(), bounds=SCALES, method="bounded").x
+    best = scipy.optimize.minimize_scalar(lambda share: wider(share).miss(), bounds=SCALES, method="bounded").x
     if abs(best - 1) > SCALED:
         yield (f"rig.toml: {name} are {abs(1 / best - 1):.0%} too {'large' if best < 1 else 'small'}",
                f"Measure them again: times {best:.3f} they agree", wider(best))
@@ -266,7 +266,7 @@ def _shuffled(moves: Moves) -> Iterator[Candidate]:
     """Frames that show what others were commanded, each matched to the one it shows."""
     L, q = kinematics.inverse(moves.T, moves.mechanism), moves.at_all()
     cost = np.sqrt(((L[:, None] - q[None]) ** 2).mean(axis=2))
-    match, n = linear_sum_assignment(cost)[1], len(L)
+    match, n = scipy.optimize.linear_sum_assignment(cost)[1], len(L)
     wrong = np.flatnonzero(cost[np.arange(n), moves.index] > 2 * cost[np.arange(n), match] + SMALL)
     if len(wrong) >= 2:
         some = f"frames {', '.join(map(str, moves.frame[wrong[:6]].tolist()))}{' ..' if len(wrong) > 6 else ''} show what others were commanded"

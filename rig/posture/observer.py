@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import log, pi
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from rig.design import Arm
 from rig.mechanisms import arm as mechanism
@@ -141,7 +141,8 @@ def likeliest(m: Model) -> np.ndarray:
     part = slice(0, PART)
     short = Model(Motion(motion.t[part], motion.q[:, part], motion.speed[:, part], motion.measured, motion.torque[:, part]), m.inverse[:, part],
                   m.push[:, part], m.jacobian[:, part], m.torque, m.angle, m.speed)
-    found = minimize_scalar(lambda decades: -observe(short, _rates(decades)).likelihood, bounds=RATES, method="bounded", options={"xatol": 0.05})
+    found = scipy.optimize.minimize_scalar(lambda decades: -observe(short, _rates(decades)).likelihood, bounds=RATES, method="bounded",
+                                           options={"xatol": 0.05})
     return _rates(float(found.x))
 
 

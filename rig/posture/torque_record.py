@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
+import scipy
 
 from rig import table
 from rig.design import Arm
@@ -70,9 +70,9 @@ def _acceleration(path: Path, motion: Motion, dynamics: ArmDynamics, source: Pat
     """((k, n) rad/s^2 of what was read, (n,) standard deviation)."""
     dt = float(np.median(np.diff(motion.t)))
     if motion.measured:
-        share = np.linalg.norm(savgol_coeffs(WINDOW, 2, 1, dt))
+        share = np.linalg.norm(scipy.signal.savgol_coeffs(WINDOW, 2, 1, dt))
         return _slope(path, motion.t, motion.speed[0], 1), share * dynamics.need("speed_sigma", source)
-    share = np.linalg.norm(savgol_coeffs(WINDOW, 3, 2, dt))
+    share = np.linalg.norm(scipy.signal.savgol_coeffs(WINDOW, 3, 2, dt))
     return _slope(path, motion.t, motion.q[0], 2), share * dynamics.need("angle_sigma", source)
 
 
@@ -84,4 +84,4 @@ def _slope(path: Path, t: np.ndarray, values: np.ndarray, order: int) -> np.ndar
         i = int(uneven[0])
         raise RigError(f"{path}: readings {i + 1} and {i + 2} are {steps[i]:.6g} s apart, others {np.median(steps):.6g} s; slopes are taken of even "
                        "ones: resample it")
-    return savgol_filter(values, WINDOW, 1 + order, deriv=order, delta=float(np.median(steps)), axis=0)
+    return scipy.signal.savgol_filter(values, WINDOW, 1 + order, deriv=order, delta=float(np.median(steps)), axis=0)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, stats
+import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
@@ -100,10 +100,10 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
     mean = np.maximum(total[known] / size[known], 1e-12)
 
     def worse(log_typical: float, alike: int) -> float:
-        return known.sum() * log_typical - stats.f.logpdf(mean / np.exp(log_typical), size[known], alike).sum()
+        return known.sum() * log_typical - scipy.stats.f.logpdf(mean / np.exp(log_typical), size[known], alike).sum()
 
     bounds = np.log(np.median(mean)) + np.array([-2.0, 2.0])
-    fits = [(optimize.minimize_scalar(worse, bounds=bounds, args=(alike,), method="bounded"), alike) for alike in ALIKE]
+    fits = [(scipy.optimize.minimize_scalar(worse, bounds=bounds, args=(alike,), method="bounded"), alike) for alike in ALIKE]
     fit, alike = min(fits, key=lambda one: one[0].fun)
     typical = np.exp(fit.x)
     if alike == max(ALIKE):

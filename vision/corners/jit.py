@@ -2,36 +2,31 @@
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
-
 from rig.compiled import kernel_folder
+from rig.kernel import Kernel
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 F = TypeVar("F", bound=Callable)
-_settings: Any = numba.config  # its names come and go with the environment
 
 
+@cache
 def _folder() -> str:
     """Where compiled kernels are kept. Numba itself would not notice that a kernel in another file, called from this one, has changed."""
-    here = Path(__file__).parent
+    from numba import config
+
+    here, settings = Path(__file__).parent, cast(Any, config)
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
     digest = hashlib.sha256(b"".join(source for source in sources if b"@kernel" in source)).hexdigest()[:16]
-    parent = Path(_settings.CACHE_DIR) if _settings.CACHE_DIR else kernel_folder() or here / "__pycache__"
+    parent = Path(settings.CACHE_DIR) if settings.CACHE_DIR else kernel_folder() or here / "__pycache__"
     return str(parent / f"kernels-{digest}")
-
-
-_FOLDER = _folder()
 
 
 def kernel(function: F) -> F:
     """Compile a function when it is first called, or load what was compiled in an earlier run."""
-    before, _settings.CACHE_DIR = _settings.CACHE_DIR, _FOLDER
-    try:
-        return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)(function))
-    finally:
-        _settings.CACHE_DIR = before
+    return cast(F, Kernel(function, {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}, _folder))

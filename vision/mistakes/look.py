@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
@@ -151,7 +151,7 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
         return []
     gap = max(np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation) for k in far)
     cost = np.array([[_far(a.pose, b.pose) for b in stated] for a in seen])
-    match = linear_sum_assignment(cost)[1]
+    match = scipy.optimize.linear_sum_assignment(cost)[1]
     tail = f" (as stated they are up to {gap * 1e3:.0f} mm off)"
     if (match != np.arange(len(match))).any() and (cost[np.arange(len(match)), match] < 1).all():
         pairs = ", ".join(f"{stated[k].name} is where rig.toml has {stated[j].name}" for k, j in enumerate(match) if k != j)

@@ -5,7 +5,8 @@ from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from rig.kernel import njit
 
 STEPS = 100  # of a fixed point
 

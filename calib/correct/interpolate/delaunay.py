@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import numpy as np
-from numba import njit
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial import Delaunay as Triangulation
 
 from calib.correct.interpolate.field import Known, merged
 from calib.correct.interpolate.weighted import Weighted, Weights
 from rig.errors import RigError
+from rig.kernel import njit
 
 MOST = {1: 100_000, 2: 100_000, 3: 50_000, 4: 10_000, 5: 3_000, 6: 600, 7: 150}  # samples for each number of axes: simplices grow with its factorial
 WITHIN = 1 - 1e-9  # of the way to the hull: on a face rounding would decide

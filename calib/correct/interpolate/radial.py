@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from calib.correct.interpolate.field import Known, merged
 
@@ -139,10 +139,11 @@ def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, a
 def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
     """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
     thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
-    fits = [minimize(_likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]), (scaled[thin], y[thin], v[thin], axis), jac=True,
-                     method="L-BFGS-B", bounds=BOUNDS, options={"maxiter": 40}) for own, whole in STARTS]
+    fits = [scipy.optimize.minimize(_likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]),
+                                    (scaled[thin], y[thin], v[thin], axis), jac=True, method="L-BFGS-B", bounds=BOUNDS,
+                                    options={"maxiter": 40}) for own, whole in STARTS]
     best = min(fits, key=lambda fit: fit.fun)
-    null = minimize(lambda p: _noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
+    null = scipy.optimize.minimize(lambda p: _noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
     return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
 
 

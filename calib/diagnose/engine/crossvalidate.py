@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import rankdata
 
 from calib.diagnose.engine.linear import LinearModel
 from calib.samples import blocks
@@ -101,7 +101,7 @@ def signed_rank_gain(fall: np.ndarray) -> float:
     if by.sum() <= 0:
         return 0.0
     n = len(by)
-    return float(rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
+    return float(scipy.stats.rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
 def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:

@@ -4,7 +4,7 @@ and leaves behind what no model explains (Fuller, Measurement error models, 1987
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import BSpline
+import scipy
 
 from rig.recording import Sensors
 
@@ -37,7 +37,7 @@ def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] 
     best: tuple[float, int, np.ndarray, np.ndarray] | None = None
     for count in counts:
         inner = np.interp(np.linspace(0, len(t) - 1, count + 1)[1:-1], np.arange(len(t)), t)
-        basis = BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray()
+        basis = scipy.interpolate.BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray()
         Q = np.linalg.qr(basis)[0]
         noise = values - Q @ (Q.T @ values)
         criterion = len(t) * np.log(np.mean(noise**2) + 1e-300) + Q.shape[1] * np.log(len(t))

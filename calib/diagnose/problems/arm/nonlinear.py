@@ -6,8 +6,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_solve
-from scipy.optimize import minimize_scalar
 
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.products import framewise, solve_with_prior
@@ -125,7 +125,7 @@ def _least(loss: Callable[[float], float], start: float, grid: list[float], p: P
     here, least = to(start), loss(start)
     for _ in range(MOVES):
         low, high = max(here - step, ends[0]), min(here + step, ends[1])
-        found = minimize_scalar(lambda x: loss(float(back(x))), bounds=(low, high), method="bounded", options={"xatol": CLOSE * step})
+        found = scipy.optimize.minimize_scalar(lambda x: loss(float(back(x))), bounds=(low, high), method="bounded", options={"xatol": CLOSE * step})
         if not found.fun < least:
             break
         here, least = float(found.x), float(found.fun)

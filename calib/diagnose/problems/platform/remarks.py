@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.score import Score
@@ -75,7 +75,7 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
 def weakened(score: Score, share: float) -> Score:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
-    chance = float(chi2.sf(delta, score.freedom))
+    chance = float(scipy.stats.chi2.sf(delta, score.freedom))
     return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
 
 

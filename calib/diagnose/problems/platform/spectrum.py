@@ -1,8 +1,7 @@
 """The frequency of a shaking platform: a coarse spectrum of all directions, then the exact score of one about its greatest peaks."""
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
-from scipy.stats import chi2
+import scipy
 
 from calib.diagnose.engine.chance import dispersion
 from calib.diagnose.engine.products import FrameProducts, Normal, framewise, solve
@@ -48,7 +47,7 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     seen = solve(Normal(*(part[best : best + 1] for part in normal))).seen[0]
     ratio = dispersion(model.linear, products, wave(model, near[best : best + 1])[0], coefficients[best]).ratio
     delta = deltas[best] / ratio
-    p = min(1.0, length * high * float(chi2.sf(delta, free)))
+    p = min(1.0, length * high * float(scipy.stats.chi2.sf(delta, free)))
     return Score(candidate, {**node, "frequency": float(near[best])}, coefficients[best], float(delta), float(p), free + candidate.extra, ratio,
                  float(seen), deltas / ratio)
 
@@ -76,7 +75,7 @@ def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarra
     """(count,) bool: frequencies that look like a drift, or like none, at these times."""
     bins, step = _bins(length, high)
     window = np.abs(np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)) / len(t)
-    return (maximum_filter1d((window > ALIAS).astype(float), 2 * SLOWEST * OVERSAMPLED + 1) > 0)[:count]
+    return (scipy.ndimage.maximum_filter1d((window > ALIAS).astype(float), 2 * SLOWEST * OVERSAMPLED + 1) > 0)[:count]
 
 
 def _tick(t: np.ndarray) -> float:

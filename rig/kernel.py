@@ -1,0 +1,48 @@
+"""Kernels that numba compiles when they are first called, so that a command which calls none does not open it."""
+
+import threading
+from collections.abc import Callable
+from functools import cached_property, update_wrapper
+from typing import Any, cast
+
+_FOLDERS = threading.RLock()  # held while numba's folder is another: it has one for all threads
+
+
+class Kernel:
+    """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call it.
+
+    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings say
+    """
+
+    def __init__(self, function: Callable, options: dict[str, Any], folder: Callable[[], str] | None = None) -> None:
+        self._function, self._options, self._folder = function, options, folder
+        update_wrapper(self, function)
+
+    @cached_property
+    def _compiled(self) -> Callable:
+        import numba
+
+        settings: Any = numba.config  # its names come and go with the environment
+        with _FOLDERS:
+            before = settings.CACHE_DIR
+            try:
+                if self._folder is not None:
+                    settings.CACHE_DIR = self._folder()
+                return cast(Callable, numba.njit(**self._options)(self._function))
+            finally:
+                settings.CACHE_DIR = before
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        """What numba takes it for where another kernel calls it."""
+        from numba import types
+
+        return types.Dispatcher(self._compiled)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._compiled(*arguments)
+
+
+def njit(**options: Any) -> Callable[[Callable], Any]:
+    """Decorator that makes a Kernel of a function. options : of numba.njit"""
+    return lambda function: Kernel(function, options)
