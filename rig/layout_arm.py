@@ -8,7 +8,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import shelf
 from rig.design import Arm
-from rig.errors import RigError
 from rig.kinds import arm_of
 from rig.layout_parts import FACES, camera, camera_lines, checked, cube_lines, looking
 from rig.mechanisms import arm as mechanism
@@ -25,13 +24,10 @@ def layout(name: str, carried: str, cameras: int, size: tuple[int, int], cubes: 
 
     carried : "cubes" or "hand", for cameras in the hand; cameras : how many; size : px of the images; cubes : how many in the hand and on the
     base, or three times as many before the hand
-    Raises RigError for a name that there is not, a dictionary with too few identities, figures that make no rig, or an arm whose hand turns too
-    little to say where its base and hand are
+    Raises RigError for a name that there is not, a dictionary with too few identities, or figures that make no rig
     """
     text = shelf.design(name).replace(shelf.INSTRUMENT, "")
     arm = _posed(arm_of(shelf.load(name).mechanism), TURNS[carried])
-    if len(arm.joints) < 6:
-        raise RigError(f"{name} has {len(arm.joints)} joints; where its base and its hand are cannot both be told by cameras with fewer than six")
     checked(1.0, cameras, cubes if carried == "cubes" else -(-3 * cubes // 2), dictionary)
     lines = [_narrowed(text, arm).rstrip(), ""]
     T = mechanism.forward(low_discrepancy(arm.limits, 64, 1.0), arm)

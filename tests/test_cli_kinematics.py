@@ -13,6 +13,7 @@ from rig import shelf
 from rig.cli import main
 from rig.commands import kinematics
 from rig.mechanisms import arm as mechanism
+from rig.mechanisms import reading
 from rig.pose import difference, pose, vector
 from tests.calib import arm_worlds as worlds
 from tests.rig.arms import UR10
@@ -68,10 +69,23 @@ def test_singular_and_unreachable_poses_are_named(tmp_path, rig):
     assert "out of reach: the arm comes no nearer than" in few
 
 
+@pytest.mark.parametrize("name", ["panda", "scara"])
+def test_steps_of_solutions_found_numerically_end_where_the_hand_is_at_zero(tmp_path, rig, name):
+    arm = shelf.load(name).mechanism
+    T = mechanism.forward(np.array([[0.3, -0.4, 0.1, -1.5, 0.4, 1.2, 0.3][: len(arm.joints)]]), arm)
+    file = poses_file(tmp_path / "p.csv", T)
+    tree = json.loads(rig(name, "--inverse", file, "--steps", "--json"))
+    for one in tree["frames"][0]["solutions"]:
+        assert one["found"] == "numerically" and [s["joint"] for s in one["steps"]] == list(range(len(arm.joints) + 1))
+        np.testing.assert_allclose(list(one["steps"][-1]["points"].values()), reading.hand(arm), atol=1e-9)
+        assert [s["value"] for s in one["steps"][1:]] == one["q"]
+    said = rig(name, "--inverse", file, "--steps")
+    assert "found numerically" in said and ("moved back along the axis through" in said) == (name == "scara")
+
+
 @pytest.mark.parametrize("content, options, says", [
     ("frame,q1\n0,1\n", ("scara", "--forward"), "column 'q2' is missing"), ("", ("scara", "--forward"), "is empty"),
     ("frame,q1,q2,q3,q4\n0,1,2,3\n", ("scara", "--forward"), "4 cells in a table of 5 columns"),
-    ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("scara", "--steps", "--inverse"), "--steps reads joints in closed form"),
     ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("scarab", "--inverse"), "nor is it one of the shipped arms"),
     ("frame,x,y,z,rx,ry,rz\n0,1,0,0,0,0,0\n", ("nowhere.json", "--inverse"), "no such file"),
 ])

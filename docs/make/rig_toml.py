@@ -12,6 +12,7 @@ import tomlkit
 
 from docs.make.told import fields_told, headline
 from rig import design_file, dynamics_file, layout, layout_planar, shelf
+from rig.arm_entries import Joint
 from rig.controller import Controller
 from rig.design import (Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Planar2, Platform, Sensor, SensorPort,
                         Target)
@@ -31,6 +32,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     "name and [environment]": (Design, "Of the rig as a whole. All of it may be left out."),
     "[mechanism] kind = \"hexapod\"": (Hexapod, ""), "[mechanism] kind = \"planar2\"": (Planar2, ""),
     "[mechanism] kind = \"arm\"": (Arm, ""),
+    "[[mechanism.joints]]": (Joint, "In place of a row of `joints`."),
     "[mechanism] kind = \"chain\"": (None, "Two tables `[[mechanism.stage]]` or more, each of a kind above, each on the last; [chains](chains.md) "
                                           "say more."),
     "[mechanism] kind = \"free\"": (None, "Moved by hand or by somebody else: there is nothing to command, and nothing else to state."),
@@ -122,7 +124,8 @@ class Log(Entries):
 HANGS_ON_ANOTHER = {("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter", ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
                     ("[[target.marker]]", "margin"): "an eighth of `side`"}
 KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "channels": "list of names",
-                "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`"}
+                "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`; or tables "
+                          "`[[mechanism.joints]]`"}
 
 
 def _shown(value: Any) -> str:
@@ -151,6 +154,8 @@ def samples() -> list[dict[str, Any]]:
     marker = {"id": 90, "side": 0.03, "pose": {"position": [0.0, 0.0, 0.1], "rotvec": [0.0, 0.0, 0.0]}}
     listed["target"].append({"name": "plate", "body": "base", "dictionary": "DICT_5X5_100", "marker": [marker]})
     arms = [tomllib.loads(shelf.design(name)) for name in shelf.names()]
+    joint = {"joint": "prismatic", "theta": 0.0, "d": 0.0, "a": 0.0, "alpha": 0.0, "limits": [0.0, 0.2]}
+    arms.append({"schema": "rig/1", "mechanism": {"kind": "arm", "joints": [joint]}})
     return [whole, listed, *arms, {**whole, "mechanism": {"kind": "free"}, "controller": None}]
 
 

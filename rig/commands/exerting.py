@@ -20,7 +20,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add what is to be exerted."""
     parser.add_argument("--exert", nargs="+", metavar="N", help="fx,fy,fz or fx,fy,fz,mx,my,mz that the hand is to exert, N and Nm in the axes of "
                         "poses: torques, margin to their limits, and, with no --force or --moment, the posture that can exert most of it")
-    parser.add_argument("--limits", nargs="+", metavar="N", help="torque limits of the joints, Nm, in place of [dynamics] torque_limits")
+    parser.add_argument("--limits", nargs="+", metavar="N", help="torque limits of the joints, Nm (slides: N), in place of [dynamics] torque_limits")
     parser.add_argument("--draw", metavar="FILE.svg", type=Path, help="with --exert: force polytope and ellipsoid of the posture")
 
 
@@ -69,16 +69,18 @@ def tree(q: np.ndarray, arm: Arm, exertion: Exertion) -> dict[str, Any]:
     return out
 
 
-def lines(found: dict[str, Any], unit: str = "Nm") -> list[str]:
-    """What `tree` found, in words."""
-    cells = ", ".join(f"{torque:.3f} ({margin:+.3f})" for torque, margin in zip(found["torques"], found["margin"]))
+def lines(found: dict[str, Any], units: tuple[str, ...]) -> list[str]:
+    """What `tree` found, in words. units : of each joint's torque, "Nm", or of a slide's force "N"."""
+    mixed = len(set(units)) > 1
+    cells = ", ".join(f"{torque:.3f}{' ' + unit if mixed else ''} ({margin:+.3f})"
+                      for torque, margin, unit in zip(found["torques"], found["margin"], units))
     held = ", own weight held" if found["weight_counted"] else " (the weight of the links is not stated)"
-    out = [f"torques that exert it{held}, and what is left to the limits, {unit}: {cells}"]
+    out = [f"torques that exert it{held}, and what is left to the limits{'' if mixed else ', ' + units[0]}: {cells}"]
     if found["greatest"] is None:
         return [*out, f"joint {found['tightest_joint']} cannot even hold the arm's own weight here"]
     multiple, joint = found["greatest_multiple"], found["tightest_joint"]
     out.append(f"at most {multiple:.4g} times what is wanted" + ("" if multiple >= 1 else f": it CANNOT be exerted, joint {joint} falls short by "
-                                                               f"{-found['margin'][joint - 1]:.3f} {unit}"))
+                                                               f"{-found['margin'][joint - 1]:.3f} {units[joint - 1]}"))
     for name, words in (("strongest", "the strongest direction of a force"), ("weakest", "in every direction at least, the weakest")):
         d = found[name]
         out.append(f"{words}: {d['force']:.4g} N along ({', '.join(f'{part:+.3f}' for part in d['direction'])})")

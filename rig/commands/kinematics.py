@@ -97,7 +97,7 @@ def _near_singular(q: np.ndarray, arm: Arm) -> float:
 
 
 def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCorrection | None, steps: bool) -> dict[str, Any]:
-    """What `--inverse` tells, as JSON holds it. Raises RigError for steps of an arm that has no closed form."""
+    """What `--inverse` tells, as JSON holds it."""
     from rig import mechanisms
     from rig.mechanisms import wrist
 
@@ -106,11 +106,9 @@ def _inverse(frames: np.ndarray, T: RigidTransform, arm: Arm, correction: ArmCor
         form = wrist.six(arm)
     except RigError as error:
         why_none = str(error)
-    if steps and form is None:
-        raise RigError(f"--steps reads joints in closed form, and this arm has none: {why_none}")
     out = []
     for i, frame in enumerate(frames.tolist()):
-        state, entries = _numeric(T[i], arm) if form is None else _closed(T[i], form, steps)
+        state, entries = _numeric(T[i], arm, steps) if form is None else _closed(T[i], form, steps)
         for entry in entries:
             entry["beyond_limits"] = _beyond(entry["q"], arm)
             if correction is not None:
@@ -129,14 +127,16 @@ def _closed(T: RigidTransform, form: SixR, steps: bool) -> tuple[str, list[dict[
                           for q, flags in zip(found.q[found.there], found.singular[found.there].tolist())]
 
 
-def _numeric(T: RigidTransform, arm: Arm) -> tuple[str, list[dict[str, Any]]]:
-    """(state of a pose in words, the solutions that many starts lead to); rest : what few joints leave of it."""
+def _numeric(T: RigidTransform, arm: Arm, steps: bool) -> tuple[str, list[dict[str, Any]]]:
+    """(state of a pose in words, the solutions that many starts lead to, named as found so); rest : what few joints leave of it."""
+    from rig.mechanisms import reading
     from rig.mechanisms.solutions import solutions
 
     found = solutions(T, arm)
     if not len(found.q):
         return f"out of reach: the arm comes no nearer than {found.missed[0]:.3g} m and {found.missed[1]:.3g} rad", []
-    entries = [{"q": q.tolist(), "singular": "singular" if _near_singular(q, arm) < SINGULAR else "", "rest": rest.tolist()}
+    entries = [{"q": q.tolist(), "singular": "singular" if _near_singular(q, arm) < SINGULAR else "", "rest": rest.tolist(),
+                "found": "numerically", **({"steps": _steps(reading.returned(T, arm, q))} if steps else {})}
                for q, rest in zip(found.q, found.rest)]
     return ("singular" if all(entry["singular"] for entry in entries) else "regular"), entries
 
@@ -181,13 +181,17 @@ def _forward_text(tree: dict[str, Any]) -> list[str]:
         lines.append(f"frame {entry['frame']}: {_joints(entry['q'], tree['units'])} -> {_pose(entry['pose'])}; {near}{beyond}")
         if "corrected" in entry:
             lines.append(f"  as calibrated {_pose(entry['corrected'])}")
-        lines += _steps_text(entry.get("steps", []), tree["units"], "at zero", "turned about")
+        lines += _steps_text(entry.get("steps", []), tree["units"], "at zero", ("turned about", "moved along"))
     return lines
 
 
 def _inverse_text(tree: dict[str, Any]) -> list[str]:
     """Lines of `--inverse`, lengths in mm and angles in degrees."""
-    lines = [f"joint solutions: {tree['form']}" + ("" if tree["form"].startswith("numeric") else ", all branches in closed form")]
+    numeric = tree["form"].startswith("numeric")
+    lines = [f"joint solutions: {tree['form']}" + ("; those that many starts lead to, found numerically" if numeric else
+                                                   ", all branches in closed form")]
+    start = "the hand of the pose" if numeric else "A at the crossing of axes 5 and 6"
+    way = ("found numerically, turned back about", "found numerically, moved back along") if numeric else ("read and returned about",) * 2
     for entry in tree["frames"]:
         lines.append(f"frame {entry['frame']}: {entry['state']}; {len(entry['solutions'])} solutions")
         for k, one in enumerate(entry["solutions"], 1):
@@ -196,7 +200,7 @@ def _inverse_text(tree: dict[str, Any]) -> list[str]:
             if "corrected" in one:
                 finished = "none near it" if one["corrected"] is None else _joints(one["corrected"], tree["units"])
                 lines.append(f"     as calibrated, finished numerically: {finished}")
-            lines += _steps_text(one.get("steps", []), tree["units"], "A at the crossing of axes 5 and 6", "read and returned about")
+            lines += _steps_text(one.get("steps", []), tree["units"], start, way)
     return lines
 
 
@@ -208,14 +212,14 @@ def _said(one: dict[str, Any]) -> list[str]:
         [f"beyond the limits: {', '.join(one['beyond_limits'])}"] if one["beyond_limits"] else [])
 
 
-def _steps_text(steps: list[dict[str, Any]], units: list[str], first: str, done: str) -> list[str]:
-    """Lines of steps, points in mm."""
+def _steps_text(steps: list[dict[str, Any]], units: list[str], first: str, done: tuple[str, str]) -> list[str]:
+    """Lines of steps, points in mm. done : what is said of a joint that turns, and of one that slides"""
     lines = []
     for s in steps:
         j = s["joint"]
         axis = f"the axis through {_three(s['axis']['point'], 1e3)} along {_three(s['axis']['vector'], 1)}"
         head = first if j == 0 else (f"joint {j} = {_joints([s['value']], [units[j - 1]])}, "
-                                     f"{'moved along' if units[j - 1] == 'm' else done} {axis}")
+                                     f"{done[units[j - 1] == 'm']} {axis}")
         points = "  ".join(f"{name} {_three(point, 1e3)}" for name, point in s["points"].items())
         lines += [f"     {head}", f"       {points}  AB {_three(s['AB'], 1)}  AC {_three(s['AC'], 1)}"]
     return lines

@@ -212,6 +212,7 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
     """What is said of a posture q (n,) rad beside its search. values : the measure there and at the start"""
     import numpy as np
 
+    from rig import mechanisms
     from rig.mechanisms import arm as mechanism
     from rig.pose import difference
     from rig.posture import measure
@@ -222,7 +223,7 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
     told = measure.Wish() if isinstance(wish, Exertion) else wish
     return {"schema": "posture/1", "unit": "rad, m", "directions": list(told.directions) or "all", "norm": str(told.norm),
             "measure": "greatest multiple" if isinstance(wish, Exertion) else "smallest column of J^T" if told.directions else told.whole,
-            "q": q.tolist(), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
+            "q": q.tolist(), "q_units": list(mechanisms.units(arm)), "value": values[0], "start": {"q": start.tolist(), "value": values[1]},
             "hand_moved": {"position": float(np.linalg.norm(moved[:3])), "rotation": float(np.linalg.norm(moved[3:]))},
             "at_limit": (np.flatnonzero((q <= low + 1e-6) | (q >= high - 1e-6)) + 1).tolist(),
             "columns": dict(zip(told.directions or measure.DIRECTIONS, measure.columns(q, arm, told).tolist()))}
@@ -231,11 +232,14 @@ def _tree(arm: Arm, wish: Wish | Exertion, q: np.ndarray, start: np.ndarray, val
 def _table(tree: dict, arguments: Namespace) -> str:
     import numpy as np
 
-    lines = [f"joint angles, degrees: {', '.join(f'{angle:.4f}' for angle in np.degrees(tree['q']))}",
-             f"joint angles, rad: {','.join(f'{angle:.9f}' for angle in tree['q'])}",
+    units = tree["q_units"]
+    slides = "m" in units
+    large = ", ".join(f"{np.degrees(q):.4f}" if unit == "rad" else f"{q * 1e3:.4f} mm" for q, unit in zip(tree["q"], units))
+    lines = [f"joint {'values' if slides else 'angles'}, degrees{' and, of slides, mm' if slides else ''}: {large}",
+             f"joint {'values' if slides else 'angles'}, rad{' and m' if slides else ''}: {','.join(f'{q:.9f}' for q in tree['q'])}",
              f"measure ({tree['measure']}, norm {tree['norm']}): {tree['value']:.6f}, from {tree['start']['value']:.6f} where the search began",
              "columns of J^T: " + ", ".join(f"{name} {value:.6f}" for name, value in tree["columns"].items())
-             + " (Nm per N for forces, Nm per Nm for moments)",
+             + f" (Nm{', of slides N,' if slides else ''} per N for forces, per Nm for moments)",
              f"the hand moved by {tree['hand_moved']['position'] * 1e3:.2g} mm and {tree['hand_moved']['rotation'] * 1e3:.2g} mrad; joints at "
              f"their limits: {', '.join(map(str, tree['at_limit'])) or 'none'}",
              _how(tree)]
@@ -245,7 +249,7 @@ def _table(tree: dict, arguments: Namespace) -> str:
                      f"{tree['joint_solutions_searched']} joint solutions were searched")
     elif arguments.above is None and tree["search"] not in ("among", "solutions"):
         lines.append("no certificate: the self-motion has more than one dimension and cannot be traced whole")
-    lines += exerting.lines(tree["exert"]) if "exert" in tree else []
+    lines += exerting.lines(tree["exert"], tuple("Nm" if unit == "rad" else "N" for unit in units)) if "exert" in tree else []
     if arguments.out:
         lines.append(f"motion written to {arguments.out}")
     if arguments.draw:

@@ -83,6 +83,23 @@ def inverse(T_base_platform: RigidTransform, six: SixR, q: np.ndarray) -> list[S
     return way.steps
 
 
+def returned(T_base_platform: RigidTransform, arm: Arm, q: np.ndarray) -> list[Step]:
+    """Steps by which the points of a pose () are returned by a solution q (n,) rad or m that was found otherwise, joint 1 to n, of any Arm.
+
+    The last leaves A, B, C where they are at zero, but for what the solution leaves of the pose.
+    """
+    frame = global_frame(arm)
+    chain = (frame.inv() * RigidTransform.from_matrix(mechanism.frames(np.zeros(len(q)), arm))).as_matrix()
+    moved = frame.inv() * T_base_platform * mechanism.forward(np.zeros(len(q)), arm).inv() * frame  # the hand since zero, in the global frame
+    abc = moved.apply(hand(arm))
+    steps = [Step(0, 0.0, np.zeros((2, 3)), tuple("ABC"), abc)]
+    for i, value in enumerate(q):
+        o, u = chain[i, :3, 3], chain[i, :3, 2]
+        abc = abc - value * u if arm.slides[i] else turned(abc, o, u, -value)
+        steps.append(Step(i + 1, float(value), np.array([o, u]), tuple("ABC"), abc))
+    return steps
+
+
 class _Way:
     """The points of one pose on their way back to zero. abc : (3, 3) m; extra : {name: point} that joints still to be read move; steps : so far."""
 

@@ -6,6 +6,7 @@ Source: patent on force measurement with redundant manipulators, [0021], [0022].
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
+from rig import mechanisms
 from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
@@ -26,7 +27,7 @@ def at_the_end(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str = "pose") ->
     far = np.linalg.norm(path - goal, axis=1)
     stop = int(far.argmin())
     if far[stop] > 2 * search.TRACE:
-        raise RigError(f"no motion of the elbow alone leads to the posture: it comes no nearer than {np.degrees(far[stop]):.2f} degrees; "
+        raise RigError(f"no motion of the elbow alone leads to the posture: it comes no nearer than {_told(path[stop] - goal, arm)}; "
                        "take it on the way")
     rows = path[start : stop + 1] if stop >= start else path[stop : start + 1][::-1]
     return np.vstack([rows, goal])
@@ -41,13 +42,20 @@ def _within(q: np.ndarray, goal: np.ndarray, arm: Arm, held: str) -> np.ndarray:
         new = search.bring_back(now + pull, target, arm, held)
         beyond = np.abs(mechanism.limits(new[0], arm))
         if search.left(new, target, arm, held)[0] > 1e-9 or beyond.any() or np.abs(new - now).max() > 0.5:
-            where = f"leaves the limits of joint {int(beyond.argmax()) + 1}" if beyond.any() else "is near a singularity"
+            where = f"leaves the limits of {mechanisms.places(arm)[int(beyond.argmax())]}" if beyond.any() else "is near a singularity"
             raise RigError(f"the motion to the posture, the hand's {held} held, {where} at {k / STEPS:.0%} of the way; take it on the way")
         rows.append(new[0])
     if np.abs(rows[-1] - goal).max() > 2 * search.TRACE:
         raise RigError(f"no motion with the hand's {held} held leads to the posture: it comes no nearer than "
-                       f"{np.degrees(np.abs(rows[-1] - goal).max()):.2f} degrees; take it on the way")
+                       f"{_told(rows[-1] - goal, arm)}; take it on the way")
     return np.vstack([*rows, goal])
+
+
+def _told(apart: np.ndarray, arm: Arm) -> str:
+    """The greatest of differences (n,) rad, and of slides the greatest in mm, in words."""
+    turned, slid = np.abs(apart[~arm.slides]), np.abs(apart[arm.slides])
+    words = [f"{np.degrees(turned.max()):.2f} degrees"] if len(turned) else []
+    return " and ".join([*words, f"{slid.max() * 1e3:.2f} mm"] if len(slid) else words)
 
 
 def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) -> np.ndarray:
@@ -70,7 +78,7 @@ def on_the_way(q: np.ndarray, goal: np.ndarray, arm: Arm, steps: int = STEPS) ->
             raise RigError(f"the straight way cannot be followed beyond {share[k]:.0%}: the arm is near a singularity there")
         if beyond.any():
             j = int(np.abs(beyond).argmax())
-            raise RigError(f"the straight way leaves the limits of joint {j + 1} at {share[k]:.0%} of it")
+            raise RigError(f"the straight way leaves the limits of {mechanisms.places(arm)[j]} at {share[k]:.0%} of it")
         rows.append(new[0])
     return np.vstack([rows, at_the_end(rows[-1], goal, arm)[1:]])
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig import mechanisms
 from rig.design import Arm
 from rig.errors import RigError
 from rig.mechanisms import arm as mechanism
@@ -21,7 +22,7 @@ from rig.posture.measure import Wish
 HELD = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # rows of the Jacobian that must not move
 STILL = 1e-11  # m and rad, to which the hand is brought back after a step
 ITERATIONS = 400
-LONGEST = 0.15  # rad, largest step of the gradient search
+LONGEST = 0.15  # rad, of slides m; largest step of the gradient search
 SHORTEST = 1e-7  # rad; where steps have become smaller than this, the search has arrived
 TRACE = 0.02  # rad between postures of a traced self-motion
 LAPS = 3000  # postures at most in each direction
@@ -163,8 +164,9 @@ def _starts(q: np.ndarray, arm: Arm, held: str) -> np.ndarray:
     outside = np.argwhere(mechanism.limits(q, arm) != 0)
     if len(outside):
         i, j = outside[0]
-        low, high = np.degrees(arm.limits[j])
-        raise RigError(f"posture {i} has joint {j + 1} at {np.degrees(q[i, j]):.3f} degrees, outside its limits {low:.3f} .. {high:.3f}")
+        scale, unit = (1e3, "mm") if arm.slides[j] else (np.degrees(1), "degrees")
+        low, high = scale * arm.limits[j]
+        raise RigError(f"posture {i} has {mechanisms.places(arm)[j]} at {scale * q[i, j]:.3f} {unit}, outside its limits {low:.3f} .. {high:.3f}")
     return q
 
 

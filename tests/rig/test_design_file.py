@@ -169,6 +169,20 @@ def test_rows_say_which_joints_slide(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text('schema = "rig/1"\n[mechanism]\nkind = "arm"\njoints = [["revolute", 0, 0.1, 0, 1.57], ["prismatic", 0.1, 0.2, 0, 0],\n'
                     '          [0.2, 0, 0.3, 0]]\nlimits = [[-6, 6], [0, 0.5], [-1, 1]]\n')
-    arm = design_file.load(path).mechanism
+    by_row = path.read_text()
+    tables = [("revolute", 0, 0.1, 0, 1.57, [-6, 6]), ("prismatic", 0.1, 0.2, 0, 0, [0, 0.5]), ("revolute", 0.2, 0, 0.3, 0, [-1, 1])]
+    path.write_text(by_row.split("joints")[0] + "".join(f'[[mechanism.joints]]\njoint = "{word}"\ntheta = {theta}\nd = {d}\na = {a}\nalpha = '
+                                                        f"{alpha}\nlimits = {limits}\n" for word, theta, d, a, alpha, limits in tables))
+    arm, same = design_file.load(path).mechanism, path.read_text()
+    path.write_text(by_row)
+    of_rows = design_file.load(path).mechanism
+    for name in ("rows", "limits", "slides"):
+        np.testing.assert_array_equal(getattr(arm, name), getattr(of_rows, name))
+    for change, says in ((("prismatic", "prismatik"), "joints.2.joint must be one of"), (("theta = 0.1", "tetha = 0.1"), "is 'tetha' meant"),
+                         (("d = 0.2", "d = 200"), "millimetres"), (("[0, 0.5]", "[0.5, 0]"), "small to large")):
+        path.write_text(same.replace(*change, 1))
+        with pytest.raises(FileError, match=says) as error:
+            design_file.load(path)
+        assert error.value.line is not None
     assert arm.slides.tolist() == [False, True, False] and mechanisms.units(arm) == ("rad", "m", "rad") and arm.axes == ("q1", "q2", "q3")
     assert arm.rows[1].tolist() == [0.1, 0.2, 0, 0, 0] and mechanisms.places(arm) == ("joint 1", "slide 2", "joint 3")

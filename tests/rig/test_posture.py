@@ -190,6 +190,37 @@ def test_the_command_refuses_with_a_reason(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
+RAIL = """schema = "rig/1"
+[mechanism]
+kind = "arm"
+joints = [["prismatic", 0.0, 0.1, 0.0, -1.5707963267948966], [0.0, 0.3, 0.0, 1.5707963267948966], [0.0, 0.0, 0.4, 0.0],
+          [0.0, 0.1, 0.0, -1.5707963267948966], [0.0, 0.3, 0.0, 1.5707963267948966], [0.0, 0.1, 0.05, 1.2], [0.0, 0.1, 0.0, 0.0]]
+limits = [[-0.5, 0.5], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9], [-2.9, 2.9]]
+[dynamics]
+torque_limits = [400, 90, 90, 50, 12, 12, 12]     # N m, of the slide N
+"""
+
+
+def test_an_arm_on_a_rail_is_told_in_mm_and_newton_where_it_slides(tmp_path, capsys):
+    (tmp_path / "rail.toml").write_text(RAIL)
+    arm = design_file.load(tmp_path / "rail.toml").mechanism
+    q = np.array([[0.1, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2], [0.7, 0.4, 0.5, -0.6, 0.7, 0.3, 0.2]])
+    at, beyond = (",".join(map(repr, row)) for row in vector(mechanism.forward(q, arm)).tolist())
+    words = ["posture", str(tmp_path / "rail.toml"), "--force", "z", "--above", "0", "--exert", "0,0,-30", "--pose", at]
+    assert cli.main(words) == 0
+    said = capsys.readouterr().out
+    first = said.split("joint values, degrees and, of slides, mm: ")[1].split("\n")[0].split(", ")
+    assert first[0].endswith(" mm") and not any("mm" in cell for cell in first[1:])
+    torques = said.split("what is left to the limits: ")[1].split("\n")[0].split(", ")
+    assert " N (" in torques[0] and all(" Nm (" in cell for cell in torques[1:])
+    assert cli.main([*words, "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["q_units"] == ["m"] + ["rad"] * 6 and abs(tree["q"][0]) <= 0.5
+    assert abs(float(first[0].split()[0]) - 1e3 * tree["q"][0]) < 1e-3
+    assert cli.main([*words[:-1], beyond, "--from", ",".join(map(str, q[1]))]) == 1
+    assert "slide 1 at 700.000 mm, outside its limits -500.000 .. 500.000" in capsys.readouterr().err
+
+
 def test_shipped_arms_are_named(capsys):
     assert cli.main(["posture", "pandda", "--pose", POSE]) == 1
     assert "shipped arms: gantry, panda, puma560" in capsys.readouterr().err
