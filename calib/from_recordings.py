@@ -88,7 +88,7 @@ def certified(calibration: Calibration, recordings: Sequence[Recording], asked: 
     held = held_out(calibration, recordings, progress)
     made = calibration.provenance
     source = {"calibration": {"recording": made.get("recording"), "created": made.get("created")}, "versions": store.versions(), "seed": SEED,
-              "recordings": [recording.folder.resolve().name for recording in recordings]}
+              "recordings": [recording.name for recording in recordings]}
     return statement.certified(calibration, held, Asked() if asked is None else asked, source, np.random.default_rng(SEED))
 
 

@@ -52,7 +52,7 @@ def measurement_page(path: Path | str, recording: Recording, measurement: Measur
     if collected is not None and collected.left_out:
         parts += [f"<h2>Markers read but not placed</h2><details><summary>{len(collected.left_out)} of them</summary>",
                   table(("frame", "camera", "marker", "reason"), [row[:4] for row in collected.left_out]), "</details>"]
-    page(path, f"Measurement of {recording.folder.resolve().name}", parts)
+    page(path, f"Measurement of {recording.name}", parts)
 
 
 def _residual_maps(m: Measurement) -> Figure:

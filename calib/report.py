@@ -38,7 +38,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              coverage(vector(samples.T_base_platform)), *section(calibration.workspace, "m"),
              "<h2>Parameters</h2>", _combinations(calibration, found), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
-    page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+    page(path, f"Calibration from {recording.name}", parts)
 
 
 def worth(claim: Claim | None) -> list[str]:

@@ -62,16 +62,25 @@ def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_i
 
     recording : Recording; used_images : whether they were read; beside : other files that were read, data : marks of theirs
     """
+    files: dict[str, str] = {}
+    for k, part in enumerate(recording.apart):
+        own = inputs(part.recording, used_images)
+        files |= {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()} if recording.parts else own
+    files.update({Path(path).name: _hash([path]) for path in beside})
+    return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
+            "arguments": list(arguments), "seed": seed,
+            "versions": versions(),
+            "created": datetime.now(UTC).isoformat(timespec="seconds")}
+
+
+def inputs(recording: Recording, used_images: bool) -> dict[str, str]:
+    """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
     files = {name: _hash([folder / name]) for name in sorted(os.listdir(folder)) if name.endswith((".toml", ".csv"))}
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
-    files.update({Path(path).name: _hash([path]) for path in beside})
-    return {"recording": folder.resolve().name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
-            "arguments": list(arguments), "seed": seed,
-            "versions": versions(),
-            "created": datetime.now(UTC).isoformat(timespec="seconds")}
+    return files
 
 
 def versions() -> dict[str, str]:

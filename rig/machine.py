@@ -41,11 +41,13 @@ def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[
     commands : Commands; effects : Effects; sensors : Sensors or None
     """
     t = np.asarray(t, float)
+    began = np.r_[0.0, commands.starts][np.searchsorted(commands.starts, t, side="right")]  # each recording sets its clocks anew
     for effect in effects:
-        t = effect.times(t)
+        if type(effect).times is not Effect.times:
+            t = began + effect.times(t - began)
     knots = np.union1d(commands.t, t)
     lengths = np.stack([np.interp(knots, commands.t, column) for column in commands.values.T], axis=1)
-    path = Path(knots, lengths, np.searchsorted(knots, t))
+    path = Path(knots, lengths, np.searchsorted(knots, t), commands.starts)
     for effect in effects:
         path = effect.follow(path, mechanisms.places(design.mechanism))
     home = mechanisms.of(design.mechanism).home(design.mechanism)

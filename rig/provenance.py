@@ -28,6 +28,8 @@ Marks = dict[int, frozenset[str]]  # of each frame that has any
 
 def marks(recording: Recording) -> Marks:
     """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
+    if recording.parts:
+        return {part.frames + frame: own for part in recording.parts for frame, own in marks(part.recording).items()}
     found = [(frame, mark) for part in (_images, _corners, _poses, _limbs) for frame, mark in part(recording)]
     often = Counter(mark for _, mark in found)
     out = defaultdict(set)

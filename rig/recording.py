@@ -1,7 +1,7 @@
 """A recording folder <-> arrays: what the rig did and what was seen of it, all outside data checked here."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +24,12 @@ LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dw
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commands:
-    """t : (n,) s, increasing; values : (n, axes) m or rad; between two rows every axis moves linearly, after the last it dwells."""
+    """t : (n,) s, increasing; values : (n, axes) m or rad; between two rows every axis moves linearly, after the last it dwells
+    starts : (k,) s, rows at which another recording of the same machine begins (see rig.together): nothing before them is remembered."""
 
     t: np.ndarray
     values: np.ndarray
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def at(self, t: ArrayLike) -> np.ndarray:
         """(..., axes) what was commanded at times t (s). Raises RigError for a time before the first command."""
@@ -40,10 +42,12 @@ class Commands:
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
     """t : (n,) s; channels : {name: (n,) values in the unit its name says}, linear between rows; reading a recording sees to it that
-    the log covers the exposures to within the distance of its rows, over which the nearest row stands."""
+    the log covers the exposures to within the distance of its rows, over which the nearest row stands
+    starts : (k,) s, rows at which another recording's log begins"""
 
     t: np.ndarray
     channels: dict[str, np.ndarray]
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def at(self, t: np.ndarray | Sequence[float], *names: str) -> np.ndarray:
         """(n,) values at times t (n,) s of the first of these channels that there is. Raises RigError where there is none."""
@@ -57,7 +61,8 @@ class Sensors:
 class Recording:
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
     or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
-    skipped : images that cannot be used and were left out, as asked"""
+    skipped : images that cannot be used and were left out, as asked
+    parts : (Part, ..) where it is several recordings of one rig together (see rig.together)"""
 
     folder: Path
     design: Design
@@ -68,6 +73,17 @@ class Recording:
     poses: Poses | None
     origin: Origin = Origin()
     skipped: tuple[Unreadable, ...] = ()
+    parts: tuple["Part", ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its folder's name; of several, theirs."""
+        return " + ".join(part.recording.name for part in self.parts) or self.folder.resolve().name
+
+    @property
+    def apart(self) -> tuple["Part", ...]:
+        """The recordings that it consists of: itself, where it is one."""
+        return self.parts or (Part(self, 0, 0.0),)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -89,6 +105,15 @@ class Recording:
             raise RigError(f"{self.folder}: there is no commands.csv, so nothing was commanded")
         frames, t = self.exposures.times()
         return frames, t, self.commands.at(t)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One of several recordings together. recording : as it stands; frames : added to its frames' numbers; t : s, added to its times."""
+
+    recording: Recording
+    frames: int
+    t: float
 
 
 def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:

@@ -32,7 +32,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              *section(calibration.workspace, "rad"),
              "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
              "<h2>Where this came from</h2>", origin(calibration)]
-    page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+    page(path, f"Calibration from {recording.name}", parts)
 
 
 def _held(done: Certified) -> list[str]:

@@ -23,7 +23,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
     parts = [*worth(calibration.claim), "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
              before_after(*errors_of(calibration.correction, samples), samples.frame), "<h2>Stage by stage</h2>", told, _parameters(done),
              "<h2>Where the last platform went</h2>", coverage(vector(samples.T_base_platform)), "<h2>Where this came from</h2>", origin(calibration)]
-    page(path, f"Calibration from {recording.folder.resolve().name}", parts)
+    page(path, f"Calibration from {recording.name}", parts)
 
 
 def _parameters(done: Certified) -> str:

@@ -73,7 +73,7 @@ def conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Seque
         seen = f"{len(design.cameras)} cameras" if design.cameras else "poses.csv"
         based = any(target.body == "base" for target in design.targets)
         frame = "the base targets' stated places" if based else "the cameras' stated places" if design.cameras else "poses.csv"
-    return Conditions(tuple((recording.folder.resolve().name, source) for recording, source in zip(recordings, sources)), len(poses),
+    return Conditions(tuple((recording.name, source) for recording, source in zip(recordings, sources)), len(poses),
                       len(poses.first), poses.moving, REST, tuple(c for c in channels if c[0] != PAYLOAD), payload, _approach(poses), min(first),
                       sum(spans), seen, frame)
 

@@ -1,4 +1,4 @@
-"""rig calibrate REC --out calibration.json."""
+"""rig calibrate REC.. --out calibration.json."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs
-from rig.commands.output import SEED, Progress, add_force, add_recording, file_or_stdout, length, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_recordings, file_or_stdout, length, print_comparison, print_unsolved
 from rig.commands.worth import say_promise, say_workspace
 from rig.errors import RigError
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser)
+    add_recordings(parser)
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="calibration.json; the report is written beside it")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
@@ -48,7 +48,9 @@ def run(arguments: Namespace) -> None:
     """Calibrate a recording and write the calibration and its report."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording, look = checking.begin(arguments)
+    recording, look, several = checking.begin_all(arguments, progress)
+    if several is not None and arguments.limbs is not None:
+        raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
 
     from threadpoolctl import threadpool_limits
 

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.output import read_recording
@@ -10,7 +11,9 @@ from rig.errors import FileError, RigError
 from rig.mistakes.mistake import Mistake
 
 if TYPE_CHECKING:
+    from rig.commands.output import Progress
     from rig.recording import Corners, Recording
+    from vision.together import Together
 
 
 def argument(parser: argparse.ArgumentParser) -> None:
@@ -18,14 +21,17 @@ def argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--anyway", action="store_true", help="go on though the recording shows a mistake that makes results meaningless")
 
 
-def loaded(arguments: argparse.Namespace) -> "Recording":
-    """Recording of the arguments that `add_recording` adds. Raises RigError that names the likeliest mistake first where it cannot be read."""
+def loaded(arguments: argparse.Namespace, path: Path | None = None) -> "Recording":
+    """Recording at a path, by default that of the arguments that `add_recording` adds.
+
+    Raises RigError that names the likeliest mistake first where it cannot be read
+    """
     from rig.mistakes.unreadable import unreadable
 
     try:
-        return read_recording(arguments)
+        return read_recording(arguments, path)
     except FileError as error:
-        causes = unreadable(arguments.recording, error)
+        causes = unreadable(path or arguments.recording, error)
         if not causes:
             raise
         raise RigError("\n".join([*map(str, causes), str(error)])) from None
@@ -36,24 +42,63 @@ def begin(arguments: argparse.Namespace) -> "tuple[Recording, Callable[[Corners]
 
     Raises RigError that names the likeliest mistake first
     """
-    from rig.mistakes.early import early
-
-    anyway = arguments.anyway
-    recording = loaded(arguments)
-    judge(early(recording), anyway)
+    recording, anyway = loaded(arguments), arguments.anyway
+    _judge_files(recording, anyway)
 
     def look(corners: "Corners") -> None:
         from vision.mistakes import look as looked
 
         judge(looked(recording, corners), anyway)
 
+    return recording, look
+
+
+def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Recording, Callable[[Corners], None], Together | None]":
+    """The same of the arguments that `add_recordings` adds: one Recording of them all, each checked by itself; and how they go together, None
+    for one alone. What is shared and what is each one's own is printed. Raises RigError besides for recordings that are not of one rig
+    """
+    if not arguments.further:
+        return *begin(arguments), None
+    if arguments.mask is not None:
+        raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
+    from rig.together import by_instrument
+    from vision.together import refuse, together
+
+    every = [loaded(arguments, path) for path in (arguments.recording, *arguments.further)]
+    refuse(every)
+    for recording in every:
+        _judge_files(recording, arguments.anyway)
+        corners = recording.corners if recording.corners is not None else some_corners(recording)
+        if corners is not None:
+            from vision.mistakes import look
+
+            judge(look(recording, corners), arguments.anyway)
+    found = together(every, progress)
+    progress.close()
+    print("\n".join(found.lines()), flush=True)
+    recording = found.recording
+    if by_instrument(recording):
+        if recording.design.mechanism.kind in ("hexapod", "planar2"):
+            from calib.instrument_places import placed
+
+            recording, places = placed(recording)
+            print("\n".join(place.line(every[place.recording].name) for place in places) or "the instrument stands where it stood", flush=True)
+        else:
+            print("the instrument is taken to stand where it stood: of an arm that is not looked at", flush=True)
+    return recording, lambda corners: None, found
+
+
+def _judge_files(recording: "Recording", anyway: bool) -> None:
+    """Judge what a recording's files and some of its images show."""
+    from rig.mistakes.early import early
+
+    judge(early(recording), anyway)
     if recording.has_images and recording.corners is None and recording.design.targets:
         from vision.mistakes.images import misread
 
         judge(misread(recording), anyway)
     if recording.poses is not None and recording.corners is None and not recording.has_images:
         judge(of_poses(recording), anyway)
-    return recording, look
 
 
 def some_corners(recording: "Recording") -> "Corners | None":

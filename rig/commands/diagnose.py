@@ -1,4 +1,4 @@
-"""rig diagnose REC --out DIR [--calibration FILE] [--assume 'EFFECT PLACE'] [--from DIR] [--mask FRAMES]."""
+"""rig diagnose REC.. --out DIR [--calibration FILE] [--assume 'EFFECT PLACE'] [--from DIR] [--mask FRAMES]."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig import json_file
 from rig.commands import checking
-from rig.commands.output import Progress, add_force, add_recording
+from rig.commands.output import Progress, add_force, add_recordings
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ MENTIONED = 4  # remarks in the terminal
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser)
+    add_recordings(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="diagnosis.json and the page are written there")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="of the same rig from another recording: its joints are taken as known, "
                         "so that less can hide in them")
@@ -46,8 +46,8 @@ def run(arguments: Namespace) -> None:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording, look = checking.begin(arguments)
-    corners = recording.corners if recording.corners is not None else checking.some_corners(recording)
+    recording, look, several = checking.begin_all(arguments, progress)
+    corners = recording.corners if recording.corners is not None or several else checking.some_corners(recording)
     if corners is not None:
         look(corners)
     for text in (arguments.only or []) + arguments.without:

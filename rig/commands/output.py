@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rig.recording import Recording
     from vision.measure import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "file_or_stdout", "length", "print_comparison",
-           "print_json", "print_unsolved", "read_recording"]
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length",
+           "print_comparison", "print_json", "print_unsolved", "read_recording"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -24,16 +24,28 @@ SEED = 0  # of the bootstrap; results are the same from run to run
 def add_recording(parser: ArgumentParser, text: str | None = None) -> None:
     """Add REC, a recording whose images are read, and what is done about those that cannot be. text : help about it, or None."""
     parser.add_argument("recording", metavar="REC", type=Path, help=text)
+    _add_left_out(parser)
+
+
+def add_recordings(parser: ArgumentParser) -> None:
+    """Add REC.., recordings of one rig, and what is left out of them; `recording` is the first of these, `further` the others."""
+    parser.add_argument("recording", metavar="REC", type=Path)
+    parser.add_argument("further", metavar="REC", type=Path, nargs="*", help="more recordings of the same rig, in the order in which they were "
+                        "taken: days apart, with other payloads, cameras moved between them or not")
+    _add_left_out(parser)
+
+
+def _add_left_out(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
     parser.add_argument("--mask", metavar="FRAMES", help="leave these frames out, for example 3,7-9: what you know to be spoilt")
 
 
-def read_recording(arguments: Namespace) -> Recording:
-    """The Recording of the arguments that `add_recording` adds; images left out are named on standard error."""
+def read_recording(arguments: Namespace, path: Path | None = None) -> Recording:
+    """The Recording at a path, by default the one of the arguments that `add_recording` adds; images left out are named on standard error."""
     from rig import recording as recordings
     from rig.masking import masked
 
-    found = recordings.load(arguments.recording, arguments.skip_unreadable)
+    found = recordings.load(path or arguments.recording, arguments.skip_unreadable)
     for image in found.skipped:
         print(f"left out, as asked: {image.path}: {image.problem}", file=sys.stderr)
     return found if arguments.mask is None else masked(found, arguments.mask)

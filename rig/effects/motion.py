@@ -1,7 +1,7 @@
 """What an effect of the axes may look at: the commanded path through time, and the machine at its exposures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,23 +19,46 @@ STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Path:
-    """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of the exposures."""
+    """Commanded values through time, linear between knots: t (m,) s, lengths (m, axes) m or rad; at : (n,) the knots of the exposures
+    starts : (k,) s, knots at which history begins anew: another recording of the same machine."""
 
     t: np.ndarray
     lengths: np.ndarray
     at: np.ndarray
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def with_knots(self, times: np.ndarray) -> "Path":
         """The same path with knots added at times (k,) s."""
         t = np.union1d(self.t, times)
         lengths = np.stack([np.interp(t, self.t, column) for column in self.lengths.T], axis=1)
-        return Path(t, lengths, np.searchsorted(t, self.t[self.at]))
+        return replace(self, t=t, lengths=lengths, at=np.searchsorted(t, self.t[self.at]))
+
+    @property
+    def firsts(self) -> np.ndarray:
+        """(k + 1,) the knots at which history begins."""
+        return np.r_[0, np.searchsorted(self.t, self.starts)]
+
+    def walked(self, walk: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """(m, axes) of walk(t (r,), lengths (r, axes)) -> (r, axes), which remembers, along each stretch from where history begins."""
+        edges = [*self.firsts.tolist(), len(self.t)]
+        return np.concatenate([walk(self.t[a:b], self.lengths[a:b]) for a, b in zip(edges[:-1], edges[1:])])
+
+    @property
+    def began(self) -> np.ndarray:
+        """(n,) s at which the history of each exposure began."""
+        return self.t[self.firsts[np.searchsorted(self.starts, self.t[self.at], side="right")]]
+
+    @property
+    def _steps(self) -> np.ndarray:
+        """(m, axes) m or rad from the knot before to each; 0 where history begins."""
+        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
+        step[self.firsts] = 0
+        return step
 
     @property
     def speeds(self) -> np.ndarray:
         """(m, axes) m/s or rad/s at which the axes come to the knots."""
-        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
-        return step / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None]
+        return self._steps / np.maximum(np.diff(self.t, prepend=self.t[0] - 1), SOON)[:, None]
 
     @property
     def speed(self) -> np.ndarray:
@@ -45,14 +68,14 @@ class Path:
     @property
     def way(self) -> np.ndarray:
         """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
-        return np.abs(np.diff(self.lengths, axis=0, prepend=self.lengths[:1])).cumsum(axis=0)[self.at]
+        return np.abs(self._steps).cumsum(axis=0)[self.at]
 
     @property
     def last_step(self) -> np.ndarray:
         """(n, axes) m or rad of the last straight move that led to each exposure: knots on its way and rests after it do not count."""
         speeds, ends = self.speeds, self._ends
         moving = np.flatnonzero(speeds.any(axis=1))
-        starts = np.zeros(len(self.t), int)  # the knot at which the move that ends at a knot began
+        starts = np.arange(len(self.t))  # the knot at which the move that ends at a knot began
         limit = STEADY * np.abs(speeds).max(initial=0.0)
         if len(moving):
             turned = np.abs(np.diff(speeds[moving], axis=0)).max(axis=1) > limit
@@ -64,7 +87,9 @@ class Path:
     @property
     def _ends(self) -> np.ndarray:
         """(m,) the last knot that a move led to, by each knot."""
-        return np.maximum.accumulate(np.where(self.speeds.any(axis=1), np.arange(len(self.t)), 0))
+        ends = np.where(self.speeds.any(axis=1), np.arange(len(self.t)), 0)
+        ends[self.firsts] = self.firsts
+        return np.maximum.accumulate(ends)
 
     @property
     def dwell(self) -> np.ndarray:
@@ -74,10 +99,10 @@ class Path:
     @property
     def since_reversal(self) -> np.ndarray:
         """(n, axes) m or rad each axis has moved since it last turned round, signed by the direction."""
-        step = np.diff(self.lengths, axis=0, prepend=self.lengths[:1])
-        out = np.zeros_like(step)
+        step = self._steps
+        out, fresh = np.zeros_like(step), set(self.firsts.tolist())
         for j in range(1, len(step)):
-            out[j] = np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
+            out[j] = 0 if j in fresh else np.where(step[j] == 0, out[j - 1], np.where(step[j] * out[j - 1] >= 0, out[j - 1], 0) + step[j])
         return out[self.at]
 
 

@@ -18,7 +18,7 @@ def play(lengths: np.ndarray, half: float) -> np.ndarray:
 def behind(motion: Motion, half: float) -> np.ndarray:
     """(n, axes) m or rad that a play of half width `half` adds to the command at the exposures."""
     path = motion.path
-    return motion.once(("behind", half), lambda: (play(path.lengths, half) - path.lengths)[path.at])
+    return motion.once(("behind", half), lambda: (path.walked(lambda _, lengths: play(lengths, half)) - path.lengths)[path.at])
 
 
 @njit(cache=True)

@@ -31,10 +31,15 @@ class ServoLag(Effect):
         if self.time_constant <= 0:
             return path
         path = path.with_knots((path.t[:, None] + AFTER * self.time_constant).ravel())
-        return replace(path, lengths=np.where(self.axes(places) > 0, lag(path.t, path.lengths, self.time_constant), path.lengths))
+        return replace(path, lengths=np.where(self.axes(places) > 0, lagging(path, self.time_constant), path.lengths))
 
     def covariate(self, motion: Motion) -> Covariate:
         return travel(motion.path.speed, motion, "speed of the axis", "/s")
+
+
+def lagging(path: Path, time_constant: float) -> np.ndarray:
+    """(m, axes) m or rad: the `lag` of a path at its knots."""
+    return path.walked(lambda t, lengths: lag(t, lengths, time_constant))
 
 
 def lag(t: np.ndarray, x: np.ndarray, time_constant: float) -> np.ndarray:

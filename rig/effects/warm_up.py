@@ -26,7 +26,7 @@ class WarmUp(Effect):
     action: ClassVar = "Let the machine warm up before use, and log the {axis}s' temperatures so that it can be corrected."
 
     def deviation(self, motion: Motion) -> np.ndarray:
-        elapsed = motion.t - motion.path.t[0]
+        elapsed = motion.t - motion.path.began
         return self.axes(motion.places) * self.amplitude * (1 - np.exp(-elapsed / self.time_constant))[:, None]
 
     def covariate(self, motion: Motion) -> Covariate:

@@ -23,10 +23,25 @@ def smoothed(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndar
     """
     if sensors is None:
         return None, {}
-    tried = {name: _smooth(sensors.t, values) for name, values in sensors.channels.items() if name.endswith("temperature_C")}
-    courses = {name: found for name, found in tried.items() if found is not None}
+    edges = [0, *np.searchsorted(sensors.t, sensors.starts).tolist(), len(sensors.t)]  # of the logs, each of one recording
+    parts = [slice(a, b) for a, b in zip(edges[:-1], edges[1:])]
+    tried = {name: [_smooth(sensors.t[part], values[part]) for part in parts] for name, values in sensors.channels.items()
+             if name.endswith("temperature_C")}
+    courses = {name: _joined(sensors.channels[name], parts, found) for name, found in tried.items() if any(one is not None for one in found)}
     channels = {**sensors.channels, **{name: curve for name, (curve, _) in courses.items()}}
     return replace(sensors, channels=channels), {name: errors for name, (_, errors) in courses.items()}
+
+
+def _joined(values: np.ndarray, parts: list[slice], found: list[tuple[np.ndarray, np.ndarray] | None]) -> tuple[np.ndarray, np.ndarray]:
+    """(curve (n,), errors (n, q)) of a log (n,) in parts, each by itself; a part that is not smoothed stands as it is."""
+    curve, errors = values.astype(float), []
+    for part, one in zip(parts, found):
+        if one is not None:
+            curve[part] = one[0]
+            own = np.zeros((len(values), one[1].shape[1]))
+            own[part] = one[1]
+            errors.append(own)
+    return curve, np.concatenate(errors, axis=1)
 
 
 def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

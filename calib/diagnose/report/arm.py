@@ -25,6 +25,7 @@ from calib.diagnose.report.schema import (
     Report,
     Value,
     covariate_entries,
+    recording_entries,
     said_of,
     write,
 )
@@ -47,6 +48,7 @@ def report(d: ArmDiagnosis) -> Report:
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
+                  recordings=recording_entries(d.parts),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
 

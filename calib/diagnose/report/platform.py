@@ -25,6 +25,7 @@ from calib.diagnose.report.schema import (
     Unexplained,
     Value,
     covariate_entries,
+    recording_entries,
     said_of,
     write,
 )
@@ -45,7 +46,8 @@ def report(d: PlatformDiagnosis) -> Report:
     found += [_finding(d, f, proof) for f, proof in zip(d.selection.findings, d.cross_validations)]
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
-                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said)
+                  tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said,
+                  recording_entries(d.parts))
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:
@@ -166,7 +168,8 @@ def save(folder: Path, d: PlatformDiagnosis, recording: Recording) -> None:
 
 
 def copy_recording(folder: Path, recording: Recording) -> None:
-    """Copy a recording's own rig.toml, commands, frames and sensors into a folder."""
+    """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
+    recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
         if (recording.folder / name).exists():
             write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))

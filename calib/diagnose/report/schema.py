@@ -10,6 +10,7 @@ from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
 from rig.files import write_text
 from rig.notebook import shown
+from rig.recording import Part
 
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
@@ -138,12 +139,26 @@ def covariate_entries(found: list[Covariate]) -> tuple[CovariateEntry, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordingEntry:
+    """One of several recordings together. frames, t_s : what is added to its frames' numbers and to its times (s) among all"""
+
+    name: str
+    frames: int
+    t_s: float
+
+
+def recording_entries(parts: tuple[Part, ...]) -> tuple[RecordingEntry, ...]:
+    """Entries of several recordings' parts; none for one alone."""
+    return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
-    """Of one recording. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
+    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
     fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
     covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
-    more : what one kind of machine has to say besides"""
+    recordings : where it is several, which; more : what one kind of machine has to say besides"""
 
     recording: str
     start_s: float
@@ -156,6 +171,7 @@ class Report:
     remarks: tuple[RemarkEntry, ...] = ()
     covariates: tuple[CovariateEntry, ...] = ()
     said: tuple[str, ...] = ()
+    recordings: tuple[RecordingEntry, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
@@ -182,7 +198,7 @@ class Report:
 
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json."""
-        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "more"}
+        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "more" and (f.name != "recordings" or self.recordings)}
         return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more}
 
 

@@ -28,7 +28,7 @@ from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
 from rig.design import Arm
 from rig.origin import Origin
-from rig.recording import Recording
+from rig.recording import Part, Recording
 
 PARTS = 3
 FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
@@ -76,6 +76,7 @@ class ArmDiagnosis:
     origin: Origin = Origin()
     given: Given = Given()
     said: tuple[str, ...] = ()
+    parts: tuple[Part, ...] = ()
 
 
 @threadpool_limits.wrap(limits=1)
@@ -89,8 +90,8 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
     arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
-    done = diagnosed(arms, found, recording.folder.resolve().name, sampled.source, Asked.of(only, without, given), progress, given=given)
-    return replace(done, origin=recording.origin)
+    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given), progress, given=given)
+    return replace(done, origin=recording.origin, parts=recording.parts)
 
 
 def diagnosed(arms: Arms, found: Identified, name: str, source: str, asked: Asked, progress: Progress | None = None,

@@ -28,7 +28,7 @@ from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
 from rig.origin import Origin
-from rig.recording import Recording
+from rig.recording import Part, Recording
 from vision.bundle.places import Move, moves
 
 
@@ -49,7 +49,8 @@ class PlatformDiagnosis:
     selection : Selection; cross_validations : one for each finding; fits : of all together, for each block that there is ("corners", "closures")
     left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
     covariates : [Covariate] that what is left goes with, the one that explained most before first
-    given : what was said beforehand; said : the operator's words, as options"""
+    given : what was said beforehand; said : the operator's words, as options
+    parts : (Part, ..) of several recordings together"""
 
     recording: str
     source: str
@@ -66,6 +67,7 @@ class PlatformDiagnosis:
     origin: Origin = Origin()
     given: Given = Given()
     said: tuple[str, ...] = ()
+    parts: tuple[Part, ...] = ()
 
     @property
     def effects(self) -> list[Effect]:
@@ -113,9 +115,9 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     blocks = {"corners": CORNERS} if point.seen is not None else {}
     blocks |= {"closures": CLOSURES} if point.axes else {}
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
-    return PlatformDiagnosis(recording.folder.resolve().name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
+    return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
                              not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
-                             given)
+                             given, parts=recording.parts)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:

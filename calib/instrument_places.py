@@ -1,0 +1,99 @@
+"""An outside instrument that stood elsewhere in one recording than in the first: told from what all of its poses do together, and taken out.
+
+The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at once, each strut weighed by
+its poses' noise and by what it scatters beyond; only a place that chance does not explain is taken out.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from scipy.stats import chi2
+
+from calib.drift.linear import of_base
+from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian, with_parameters
+from calib.pipeline import sample_recording
+from calib.samples import Samples
+from rig import mechanisms
+from rig.kinds import Struts, struts_of
+from rig.pose import exp
+from rig.recording import Recording
+
+ROUNDS = 4  # of linearising anew
+ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
+SPREAD = 1.4826  # standard deviations in a median of absolute values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where an instrument stood in a recording (its number, from 0), seen from its place in the first. motion : (6,) m, rad, in the base
+    p_value : of so much by chance"""
+
+    recording: int
+    motion: np.ndarray
+    p_value: float
+
+    def line(self, name: str) -> str:
+        """In words; name : of the recording."""
+        far, turned = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
+        return f"the instrument stands elsewhere, by {far * 1e3:.3g} mm and {turned * 1e3:.3g} mrad, in {name}: its poses are brought to the first's"
+
+
+def placed(recording: Recording) -> tuple[Recording, list[Place]]:
+    """(the Recording of several as if the instrument had stood still, [Place] where it did not), of a platform on struts.
+
+    Raises what sampling raises
+    """
+    samples, m = sample_recording(recording).samples, struts_of(recording.design.mechanism)
+    number = np.searchsorted([part.frames for part in recording.parts], samples.frame, side="right") - 1
+    motions, scatter, start = np.zeros((len(recording.parts), 6)), np.zeros(len(m.axes)), parameters(m)
+    for _ in range(ROUNDS):
+        at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
+        step, covariance, scatter = _solved(at, number, m, start, scatter)
+        m = with_parameters(m, parameters(m) + step[: len(start)])
+        motions = motions + np.concatenate([np.zeros((1, 6)), step[len(start) :].reshape(-1, 6)])
+    places = []
+    for k, motion in enumerate(motions[1:]):
+        rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
+        p = float(chi2.sf(motion @ np.linalg.solve(covariance[rows, rows], motion), 6))
+        if p * (len(motions) - 1) < ALIKE:
+            places.append(Place(k + 1, motion, p))
+    return _taken(recording, places), places
+
+
+def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(step (p + 6 later,), its covariance, (axes,) m scatter) of geometry and places, linear about a mechanism and places as they are.
+
+    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls; scatter : (axes,) m, so far
+    """
+    T, p = samples.T_base_platform, len(start)
+    later = int(number.max())
+    A = strut_jacobian(T, m)
+    C = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+    W = np.linalg.inv(np.linalg.cholesky(C + np.diag(scatter**2)))
+    moved = np.zeros((*A.shape[:2], later, 6))
+    for k in range(later):
+        moved[number == k + 1, :, k] = (A @ of_base(T))[number == k + 1]
+    J = np.concatenate([loop_jacobian(T, m), moved.reshape(*A.shape[:2], -1)], axis=2)
+    left = mechanisms.of(m).inverse(T, m) - samples.commanded
+    white, away = (W @ J).reshape(-1, J.shape[2]), np.r_[(start - parameters(m)) / PRIOR**2, np.zeros(6 * later)]
+    covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
+    step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
+    spread = SPREAD * np.median(np.abs(left - J @ step), axis=0)
+    return step, covariance, np.sqrt(np.maximum(spread**2 - np.einsum("nii->ni", C).mean(axis=0), 0.0))
+
+
+def _back(T: RigidTransform, motions: np.ndarray) -> RigidTransform:
+    """Poses (n,) as the instrument would have seen them from its first place; motions : (n, 6) of the base, m and rad, along its axes."""
+    return exp(motions).inv() * T
+
+
+def _taken(recording: Recording, places: list[Place]) -> Recording:
+    poses = recording.poses
+    if not places or poses is None:
+        return recording
+    motions = np.zeros((len(recording.parts), 6))
+    for place in places:
+        motions[place.recording] = place.motion
+    number = np.searchsorted([part.frames for part in recording.parts], poses.frame, side="right") - 1
+    return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, motions[number])))

@@ -1,0 +1,176 @@
+"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved as cameras of their own.
+
+What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that remember (a play's side, a
+lag, how long it has been warm, how far a clock has run) know nothing of the recording before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from rig.agreement import contradictions, same_lens
+from rig.design import Camera
+from rig.errors import RigError
+from rig.exposures import Exposures
+from rig.observed import Corners, Poses
+from rig.recording import Commands, Part, Recording, Sensors
+
+GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
+HELD = 30.0  # s of it for which the axes are where the next recording begins
+PAYLOAD = "payload_mass_kg"
+Owners = tuple[dict[str, int], ...]  # of each recording: {camera: number (from 0) of the recording in which it came to stand there}
+
+
+def refuse_strangers(recordings: Sequence[Recording]) -> None:
+    """Raise RigError for recordings that are not of one rig, each of whose contradictions is named, or not of one kind of data."""
+    first = recordings[0]
+    seen: set[str] = set()
+    for recording in recordings:
+        place = str(recording.folder.resolve())
+        if place in seen:
+            raise RigError(f"{recording.folder} is named twice; the same poses do not count twice")
+        seen.add(place)
+        found = contradictions(first.design, recording.design)
+        if found:
+            raise RigError(f"{recording.folder} is not of the rig of {first.folder}, as their rig.toml state it; these differ:\n"
+                           + "\n".join(f"  {text}" for text in found))
+        if (recording.commands is None) != (first.commands is None):
+            lacks = recording if recording.commands is None else first
+            raise RigError(f"{lacks.folder} has no commands.csv, and the other has: of what is not commanded nothing of the machine can be shared")
+        if _data(recording) != _data(first):
+            raise RigError(f"{first.folder} has {_data(first)} and {recording.folder} {_data(recording)}: let rig measure make the same of both")
+
+
+def unmoved(recordings: Sequence[Recording]) -> Owners:
+    """Owners by what is stated alone: a camera of another lens, sensor or mount than the recordings before it is a camera of its own."""
+    out: list[dict[str, int]] = []
+    for k, recording in enumerate(recordings):
+        out.append({c.name: next((j for j in range(k) if _is(recordings[j], c, out[j], j)), k) for c in recording.design.cameras})
+    return tuple(out)
+
+
+def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: int) -> bool:
+    """Whether a camera of a recording (its number) came to stand there in it, and is stated like this one."""
+    return owners.get(camera.name) == number and same_lens(recording.design.camera(camera.name), camera)
+
+
+def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
+    """One Recording of several, whose `parts` they are.
+
+    Frames of the k-th (from 0) count on from k times a power of ten, its cameras with a place of their own are called "NAME@k+1"
+    Raises RigError as `refuse_strangers`
+    """
+    refuse_strangers(recordings)
+    first, parts, end = recordings[0], [], 0.0
+    step = 10 ** len(str(max(int(r.exposures.frame.max()) for r in recordings)))
+    for k, recording in enumerate(recordings):
+        low, high = _span(recording)
+        parts.append(Part(recording, k * step, end + GAP - low if k else 0.0))
+        end = parts[-1].t + high
+    cameras: dict[str, Camera] = {}
+    for recording, own in zip(recordings, owners):
+        for camera in recording.design.cameras:
+            name = called(camera.name, own)
+            cameras.setdefault(name, replace(camera, name=name))
+    design = replace(first.design, cameras=tuple(cameras.values()))
+    skipped = tuple(one for r in recordings for one in r.skipped)
+    return replace(first, design=design, commands=_commands(parts), exposures=_exposures(parts, owners), sensors=_sensors(parts),
+                   corners=_corners(parts, owners), poses=_poses(parts), skipped=skipped, parts=tuple(parts))
+
+
+def called(camera: str, owners: dict[str, int]) -> str:
+    """What a camera of a recording is called among all; owners : of its recording."""
+    return camera if owners[camera] == 0 else f"{camera}@{owners[camera] + 1}"
+
+
+def by_instrument(recording: Recording) -> bool:
+    """Whether poses of an outside instrument are what measures a recording."""
+    return recording.poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images))
+
+
+def _data(recording: Recording) -> str:
+    """What measures a recording, in words."""
+    if by_instrument(recording):
+        return "poses of an instrument"
+    if recording.corners is not None:
+        return "corners" if recording.corners.covariance is None else "corners with their covariance"
+    return "images"
+
+
+def _span(recording: Recording) -> tuple[float, float]:
+    """(s, s) from the earliest to the latest that a recording tells."""
+    parts = [recording.exposures.t, *([recording.commands.t] if recording.commands is not None else []),
+             *([recording.sensors.t] if recording.sensors is not None else [])]
+    return float(min(t.min() for t in parts)), float(max(t.max() for t in parts))
+
+
+def _commands(parts: Sequence[Part]) -> Commands | None:
+    t, values, starts = [], [], []
+    for k, part in enumerate(parts):
+        own = part.recording.commands
+        if own is None:
+            return None
+        if k:
+            t.append(np.array([part.t + own.t[0] - HELD]))  # an exposure told too early by the clock finds the axes where they begin
+            values.append(own.values[:1])
+            starts.append(part.t + own.t[0])
+        t.append(part.t + own.t)
+        values.append(own.values)
+    return Commands(np.concatenate(t), np.concatenate(values), np.array(starts))
+
+
+def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
+    seen = [(part, part.recording.exposures) for part in parts]
+    return Exposures(np.concatenate([part.frames + e.frame for part, e in seen]), np.concatenate([part.t + e.t for part, e in seen]),
+                     [called(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
+                     [str(part.recording.folder.resolve() / name) if name else "" for part, e in seen for name in e.image])
+
+
+def _corners(parts: Sequence[Part], owners: Owners) -> Corners | None:
+    found = [(part, part.recording.corners, own) for part, own in zip(parts, owners)]
+    seen = [(part, c, own) for part, c, own in found if c is not None]
+    if len(seen) < len(found):
+        return None
+    covariance = [c.covariance for _, c, _ in seen if c.covariance is not None]
+    return Corners(np.concatenate([part.frames + c.frame for part, c, _ in seen]), [called(name, own) for _, c, own in seen for name in c.camera],
+                   np.concatenate([c.marker for _, c, _ in seen]), np.concatenate([c.corner for _, c, _ in seen]),
+                   np.concatenate([c.uv for _, c, _ in seen]), np.concatenate(covariance) if len(covariance) == len(seen) else None)
+
+
+def _poses(parts: Sequence[Part]) -> Poses | None:
+    found = [(part, part.recording.poses) for part in parts]
+    seen = [(part, p) for part, p in found if p is not None]
+    covariance = [p.covariance for _, p in seen if p.covariance is not None]
+    if len(seen) < len(found):
+        return None
+    if 0 < len(covariance) < len(seen):
+        lacks = next(part for part, p in seen if p.covariance is None)
+        raise RigError(f"{lacks.recording.folder / 'poses.csv'} states no covariance, and another recording's does")
+    return Poses(np.concatenate([part.frames + p.frame for part, p in seen]),
+                 RigidTransform.concatenate([p.T_base_platform for _, p in seen]), np.concatenate(covariance) if covariance else None)
+
+
+def dropped(recordings: Sequence[Recording]) -> list[str]:
+    """Channels that some recordings logged and others did not, which can be asked of none; a payload that was not logged is none."""
+    own = [set(r.sensors.channels) if r.sensors is not None else set() for r in recordings]
+    return sorted(name for name in set[str]().union(*own) - {PAYLOAD} if any(name not in one for one in own))
+
+
+def _sensors(parts: Sequence[Part]) -> Sensors | None:
+    """The logs one after the other, of the channels that all have."""
+    recordings = [part.recording for part in parts]
+    lost = dropped(recordings)
+    names = [n for n in dict.fromkeys(n for r in recordings if r.sensors is not None for n in r.sensors.channels) if n not in lost]
+    if not names:
+        return None
+    t, values, starts = [], [], []
+    for part in parts:
+        log = part.recording.sensors or Sensors(part.recording.exposures.times()[1][:1], {PAYLOAD: np.zeros(1)})
+        low, high = _span(part.recording)
+        own = np.union1d(log.t, [low, high]) if log.t[0] > low or log.t[-1] < high else log.t  # the nearest row stands beyond a log
+        starts.append(part.t + own[0])
+        t.append(part.t + own)
+        values.append([np.interp(own, log.t, log.channels[n]) if n in log.channels else np.zeros(len(own)) for n in names])
+    return Sensors(np.concatenate(t), {n: np.concatenate([v[k] for v in values]) for k, n in enumerate(names)}, np.array(starts[1:]))
