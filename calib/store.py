@@ -31,6 +31,8 @@ from calib.workspace.file import workspace_in, workspace_out
 from rig import json_file
 from calib.chains import model as chains
 from rig.design import Arm, Chain, Hexapod, Planar2
+from rig.effects import BY_NAME
+from rig.effects.parse import Kinds
 from rig.entries import LARGEST_RIG, Entries
 from rig.provenance import flat, marks, shared
 from rig.kinds import Struts, struts_of
@@ -130,8 +132,10 @@ def save(path: Path | str, calibration: Calibration) -> None:
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
 
-def load(path: Path | str) -> Calibration:
-    """Calibration of a calibration.json. Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
+def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
+    """Calibration of a calibration.json. kinds : effects that there are
+
+    Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
     of another shape or a number that cannot be."""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
@@ -145,7 +149,7 @@ def load(path: Path | str) -> Calibration:
     return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-                       physics_in(tree.table("physics"), nominal, count) if tree.tree["schema"] == WITH_PHYSICS else None,
+                       physics_in(tree.table("physics"), nominal, count, kinds) if tree.tree["schema"] == WITH_PHYSICS else None,
                        workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None)
 
 

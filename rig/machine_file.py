@@ -9,8 +9,9 @@ import numpy as np
 
 from rig import json_file
 from rig.design import Arm, Camera, Chain, Design
+from rig.effects import BY_NAME
 from rig.effects.base import Effect
-from rig.effects.parse import from_dict, placed, to_dict
+from rig.effects.parse import Kinds, from_dict, placed, to_dict
 from rig.entries import LARGEST_RIG, Entries
 from rig.errors import FileError, RigError
 from rig.kinds import Mechanism
@@ -38,8 +39,11 @@ def _geometry(m: Mechanism) -> dict[str, Any]:
     return own | {"joints": m.rows.tolist(), **{name: vector(getattr(m, name)).tolist() for name in PLACES}} if isinstance(m, Arm) else own
 
 
-def load(path: Path, stated: Design) -> tuple[Design, tuple[Effect, ...]]:
-    """(the design as it is, effects at work) of such a file, the rest as stated. Raises FileError for a file that is none of this rig."""
+def load(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> tuple[Design, tuple[Effect, ...]]:
+    """(the design as it is, effects at work) of such a file, the rest as stated. kinds : effects that there are
+
+    Raises FileError for a file that is none of this rig
+    """
     found, limbs = json_file.load(path, "truth of this rig"), stated.insitu
     if "effects" not in found.tree:
         found.fail("is no truth of this rig: effects are missing", "effects")
@@ -52,7 +56,7 @@ def load(path: Path, stated: Design) -> tuple[Design, tuple[Effect, ...]]:
     if limbs is not None and "insitu" in found.tree:
         table = found.table("insitu")
         limbs = replace(limbs, **{name: table.array(name, getattr(limbs, name).shape, length_limit=LARGEST_RIG) for name in LIMBS})
-    return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated)
+    return replace(stated, mechanism=mechanism, cameras=cameras, insitu=limbs), _effects(found, stated, kinds)
 
 
 def _mechanism(stated: Mechanism, table: Entries) -> Mechanism:
@@ -81,12 +85,12 @@ def _camera(camera: Camera, table: Entries) -> Camera:
     return replace(camera, matrix=matrix, distortion=terms, pose=pose(vector_[:3], vector_[3:]))
 
 
-def _effects(table: Entries, design: Design) -> tuple[Effect, ...]:
+def _effects(table: Entries, design: Design, kinds: Kinds) -> tuple[Effect, ...]:
     """The effects listed. Raises FileError for one that there is not, or not on this rig."""
     found = []
     for number, entry in enumerate(table.tables("effects"), 1):
         try:
-            found.append(placed(from_dict(entry.tree), design))
+            found.append(placed(from_dict(entry.tree, kinds), design))
         except FileError:
             raise
         except RigError as error:

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from rig import machine, recording
+from rig.effects import BY_NAME
+from rig.effects.parse import Kinds
 from rig.errors import FileError, RigError
 from rig.plan import Plan
 from rig.recording import Sensors
@@ -15,8 +17,10 @@ from synthetic.simulation import Simulation
 KINDS = ("with", "without")
 
 
-def again(folder: Path) -> dict[str, Simulation]:
+def again(folder: Path, kinds: Kinds = BY_NAME) -> dict[str, Simulation]:
     """{"with": Simulation, "without": Simulation} of a folder that `rig diagnose` wrote: with the effects found, and with none.
+
+    kinds : effects that there are
 
     Raises FileError for a folder that holds no diagnosed recording, RigError where nothing was commanded
     """
@@ -26,7 +30,7 @@ def again(folder: Path) -> dict[str, Simulation]:
     found = recording.load(folder)
     if found.commands is None:
         raise RigError(f"{folder}: nothing was commanded, so there is no motion to simulate")
-    secret = world.from_truth(path, found.design)
+    secret = world.from_truth(path, found.design, kinds)
     _, t = found.exposures.times()
     sensors = found.sensors or Sensors(np.array([found.commands.t[0]]), {})
     plan = Plan(found.commands, t, np.array([(0.0, 0.0)]), found.origin)

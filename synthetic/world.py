@@ -11,7 +11,9 @@ from scipy.spatial.transform import RigidTransform
 
 from rig import machine_file, mechanisms
 from rig.design import Arm, Camera, Chain, Design, Hexapod, Planar2
+from rig.effects import BY_NAME
 from rig.effects.base import Effect
+from rig.effects.parse import Kinds
 from rig.files import write_text
 from rig.pose import exp
 from rig.recording import Sensors
@@ -81,6 +83,6 @@ def write_truth(path: Path, world: World, T_base_platform: RigidTransform, **mor
     write_text(path, json.dumps({**tree, "poses": T_base_platform.as_matrix().reshape(-1, 16).tolist(), **more}) + "\n")
 
 
-def from_truth(path: Path, stated: Design) -> World:
-    """World of a truth file: the same machine and cameras again. Raises FileError for a file that is none."""
-    return World(stated, *machine_file.load(path, stated))
+def from_truth(path: Path, stated: Design, kinds: Kinds = BY_NAME) -> World:
+    """World of a truth file: the same machine and cameras again. kinds : effects that there are. Raises FileError for a file that is none."""
+    return World(stated, *machine_file.load(path, stated, kinds))

@@ -7,8 +7,9 @@ import numpy as np
 
 from calib.correct.physics import Physics, Unknown
 from rig.design import Actuator, Arm, Chain, Platform
+from rig.effects import BY_NAME
 from rig.effects.coordinate import coordinates_of
-from rig.effects.parse import from_dict, placed, to_dict
+from rig.effects.parse import Kinds, from_dict, placed, to_dict
 from rig.entries import Entries
 from rig.errors import FileError, RigError
 from rig.kinds import Struts
@@ -33,8 +34,9 @@ def _told(effect: int, name: str, index: int | None, role: str, physics: Physics
     return f"{measure}{name}{'' if index is None else f' {index + 1}'} of {at.name} at {at.place}"
 
 
-def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int) -> Physics:
-    """Physics of what `physics_out` gave, as Entries. mechanism : nominal; count : of the geometry's parameters. Raises FileError."""
+def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int, kinds: Kinds = BY_NAME) -> Physics:
+    """Physics of what `physics_out` gave, as Entries. mechanism : nominal; count : of the geometry's parameters
+    kinds : effects that there are. Raises FileError."""
     actuator, platform = table.table("actuator"), table.table("platform")
     held = Physics((), np.zeros((0, 0)), np.zeros((count, 0)), table.array("gravity", (3,)),
                    Actuator(actuator.number("screw_lead", None, above=0), actuator.text("joints", ("cardan-cardan", "cardan-ball"), None),
@@ -44,7 +46,7 @@ def physics_in(table: Entries, mechanism: Struts | Arm | Chain, count: int) -> P
     effects = []
     for entry in table.tables("effects"):
         try:
-            effects.append(placed(from_dict(entry.tree), held.machine(mechanism)) if not _seen(entry) else from_dict(entry.tree))
+            effects.append(placed(from_dict(entry.tree, kinds), held.machine(mechanism)) if not _seen(entry) else from_dict(entry.tree, kinds))
         except FileError:
             raise
         except RigError as error:

@@ -18,9 +18,11 @@ from calib.identify.geometry import Loops, parameters
 from calib.pipeline import Sampled, freed
 from calib.samples import Samples
 from rig import json_file, machine_file
+from rig.effects import BY_NAME
 from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.coordinate import Coordinate, coordinates_of
 from rig.effects.marker_swap import MarkerSwap
+from rig.effects.parse import Kinds
 from rig.entries import Entries
 from rig.errors import FileError
 from rig.kinds import struts_of
@@ -79,12 +81,15 @@ def of_diagnosis(found: PlatformDiagnosis) -> Findings:
     return Findings((*found.swapped, *found.effects), None, unknown)
 
 
-def of_folder(folder: Path, recording: Recording) -> Findings:
-    """Findings of a folder that `rig diagnose` wrote. Raises FileError for a folder that holds none, or of another rig."""
+def of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
+    """Findings of a folder that `rig diagnose` wrote. kinds : effects that there are
+
+    Raises FileError for a folder that holds none, or of another rig
+    """
     tree = json_file.load(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(folder / "machine.json", "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording")
-    _, effects = machine_file.load(folder / "machine.json", recording.design)
+    _, effects = machine_file.load(folder / "machine.json", recording.design, kinds)
     entries = tree.tables("findings")
     unknown = tuple(_unknown(entry) for entry in entries if entry.text("effect") == UNKNOWN)
     origin = manifest(folder).origin

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands import checking, extending, from_limbs
+from rig.commands import checking, extending, from_limbs, own_effects
 from rig.commands.output import SEED, Progress, add_force, add_recordings, file_or_stdout, length, print_comparison, print_unsolved
 from rig.commands.worth import say_promise, say_workspace
 from rig.errors import RigError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from calib.diagnose.taken import Findings, Taken
     from calib.pipeline import Sampled
     from calib.store import Calibration
+    from rig.effects.parse import Kinds
     from rig.recording import Corners, Recording
 
 
@@ -36,6 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
     kind.add_argument("--diagnosis", metavar="DIR", type=Path, help="take in the physics that `rig diagnose` found and wrote there, refined with the "
                       "geometry; rig correct undoes it")
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
+    own_effects.argument(parser)
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     extending.arguments(parser)
     parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
@@ -72,8 +74,10 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
 
     import numpy as np
 
-    findings = _findings(arguments, recording)
+    own = own_effects.known(own_effects.plugins(arguments))
+    findings = _findings(arguments, recording, own)
     sampled = from_limbs.sampled(arguments, recording, progress, look)
+    sampled = replace(sampled, files=(*sampled.files, *arguments.effects))
     rng = np.random.default_rng(SEED)
     extending.refuse_mixed(arguments)
     if arguments.extend:
@@ -85,7 +89,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     elif nominal.kind == "arm":
         calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
     else:
-        taken = _taken(recording, sampled, findings, progress) if arguments.find or findings is not None else None
+        taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
         calibration = _struts(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
     if values is not None:
         from calib.correct.values import summand_columns, summand_rows
@@ -98,7 +102,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 
 
-def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
+def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Findings | None:
     """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
     asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
     if asked and recording.design.mechanism.kind in ("arm", "chain"):
@@ -109,19 +113,23 @@ def _findings(arguments: Namespace, recording: Recording) -> Findings | None:
         raise RigError(f"{asked} looks at what cameras saw of every pose; leave out --limbs")
     if asked and arguments.extend:
         raise RigError(f"{asked} corrects what it finds by its own models, --extend by none; give one of them")
+    if arguments.effects and not asked:
+        raise RigError("--effects adds to what a diagnosis is asked for: give --find or --diagnosis as well")
     if arguments.diagnosis is None:
         return None
     from calib.diagnose.taken import of_folder
 
-    return of_folder(arguments.diagnosis, recording)
+    return of_folder(arguments.diagnosis, recording, own)
 
 
-def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, progress: Progress) -> Taken:
+def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> Taken:
     """Taken of findings; of what a diagnosis of the recording itself finds where these are None."""
     from calib.diagnose.problems.platform.diagnose import diagnose
     from calib.diagnose.taken import of_diagnosis, take
 
-    return take(recording, sampled, of_diagnosis(diagnose(recording, progress=progress, sampled=sampled)) if findings is None else findings, progress)
+    if findings is None:
+        findings = of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
+    return take(recording, sampled, findings, progress)
 
 
 def _values_name(out: Path) -> str:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands import readings
+from rig.commands import own_effects, readings
 from rig.commands.output import add_force, file_or_stdout
 from rig.errors import RigError, Unreachable
 
@@ -37,6 +37,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreachable", action="store_true", help="leave out, and list, poses out of reach")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
     parser.add_argument("--single-step", action="store_true", help="command X + KSF(X), the method's first step, not the fixed point that is exact")
+    own_effects.argument(parser)
     add_force(parser)
 
 
@@ -47,11 +48,10 @@ def run(arguments: Namespace) -> None:
         return
     import numpy as np
 
-    from calib import store
     from rig import recording as recordings
     from rig import writing
 
-    calibration = store.load(arguments.calibration)
+    calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
         raise RigError("--single-step is of corrections that depend on the configuration alone; this calibration knows physics besides")
     wanted = recordings.load_wanted(arguments.poses)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig import json_file
-from rig.commands import checking
+from rig.commands import checking, own_effects
 from rig.commands.output import Progress, add_force, add_recordings
 from rig.errors import RigError
 
@@ -18,9 +18,21 @@ if TYPE_CHECKING:
     from calib.store import Calibration
     from rig.recording import Recording
 
-    Known = tuple[Calibration | None, Given]  # of another recording, and beforehand
+    from rig.effects.base import Effect
+    from rig.effects.parse import Kinds
+    from rig.effects.plugin import Plugin
 
 MENTIONED = 4  # remarks in the terminal
+
+
+@dataclass(frozen=True, slots=True)
+class Beforehand:
+    """calibration : of another recording, or None; given : what is said beforehand; own : files of effects; kinds : all that are asked for."""
+
+    calibration: Calibration | None
+    given: Given
+    own: tuple[Plugin, ...]
+    kinds: tuple[type[Effect], ...]
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -35,6 +47,7 @@ def arguments(parser: ArgumentParser) -> None:
                         "start and stays, whatever the recording says of it; may be given again")
     parser.add_argument("--from", metavar="DIR", type=Path, dest="before", help="what another diagnosis found: begin with its findings, each of "
                         "which has to stand here as well")
+    own_effects.argument(parser)
     add_force(parser)
     checking.argument(parser)
 
@@ -50,21 +63,23 @@ def run(arguments: Namespace) -> None:
     corners = recording.corners if recording.corners is not None or several else checking.some_corners(recording)
     if corners is not None:
         look(corners)
+    own = own_effects.plugins(arguments)
+    kinds = own_effects.known(own)
     for text in (arguments.only or []) + arguments.without:
-        asked(text, recording.design)
+        asked(text, recording.design, kinds)
     out = arguments.outputs.folder(arguments.out)
 
-    calibration = None if arguments.calibration is None else _known(arguments.calibration, recording)
+    calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
     diagnosed = _arm if recording.design.mechanism.kind == "arm" else _platform
-    _print(diagnosed(recording, arguments, (calibration, _given(arguments, recording)), out, progress))
+    _print(diagnosed(recording, arguments, Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())), out, progress))
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 
-def _given(arguments: Namespace, recording: Recording) -> Given:
+def _given(arguments: Namespace, recording: Recording, kinds: Kinds) -> Given:
     """What the operator says beforehand. Raises RigError for what this rig cannot have, FileError for what is no diagnosis."""
     from calib.diagnose.engine.given import Given
-    from rig.effects import BY_NAME
+    from calib.diagnose.report.schema import UNKNOWN
     from rig.effects.parse import site
 
     before = []
@@ -73,46 +88,49 @@ def _given(arguments: Namespace, recording: Recording) -> Given:
         table = json_file.load(path, "diagnosis", "diagnosis/1")
         for finding in table.tables("findings"):
             name, place = finding.text("effect"), finding.text("place")
-            if name in BY_NAME and not BY_NAME[name].discrete:
+            if name not in (*kinds, UNKNOWN):
+                raise RigError(f"{path} found {name}, and there is no such effect; of your own, name its file with --effects")
+            if name in kinds and not kinds[name].discrete:
                 try:
-                    before.append(site(f"{name} {place}", recording.design))
+                    before.append(site(f"{name} {place}", recording.design, kinds))
                 except RigError as error:
                     raise RigError(f"{path} is of another rig: {error}") from None
-    return Given(tuple(site(text, recording.design) for text in arguments.assume), tuple(before))
+    return Given(tuple(site(text, recording.design, kinds) for text in arguments.assume), tuple(before))
 
 
 def _said(arguments: Namespace) -> tuple[str, ...]:
     """The operator's words, as options."""
     words = (("--only", arguments.only or []), ("--without", arguments.without), ("--assume", arguments.assume), ("--from", [arguments.before]),
-             ("--mask", [arguments.mask]), ("--calibration", [arguments.calibration]))
+             ("--mask", [arguments.mask]), ("--effects", arguments.effects), ("--calibration", [arguments.calibration]))
     return tuple(f"{option} {text}" for option, texts in words for text in texts if text is not None)
 
 
-def _arm(recording: Recording, arguments: Namespace, known: Known, out: Path, progress: Progress) -> Report:
+def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
     """Report of an arm's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.diagnose import diagnose
     from calib.diagnose.report import arm
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
-    calibration, given = known
-    if calibration is not None:
+    if known.calibration is not None:
         raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, given), said=_said(arguments))
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
+                    own=known.own)
     report = arm.report(found)
     arm.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named))
     return report
 
 
-def _platform(recording: Recording, arguments: Namespace, known: Known, out: Path, progress: Progress) -> Report:
+def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
     from calib.diagnose.problems.platform.diagnose import diagnose
     from calib.diagnose.report import platform
     from calib.diagnose.report.page import diagnosis_page
     from calib.diagnose.report.platform_view import PlatformView
 
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, *known), said=_said(arguments))
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given,
+                             kinds=known.kinds), said=_said(arguments), own=known.own)
     report = platform.report(found)
     platform.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found))
@@ -141,11 +159,11 @@ def _print(report: Report) -> None:
         print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
 
 
-def _known(path: Path, recording: Recording) -> Calibration:
+def _known(path: Path, recording: Recording, own: tuple[Plugin, ...]) -> Calibration:
     """Calibration of a file. Raises RigError where it was made from this very recording, which would count twice."""
     from calib import store
 
-    calibration = store.load(path)
+    calibration = own_effects.calibration(path, own)
     same = store.seen_before(calibration, recording)
     if same:
         raise RigError(f"{path} was made from {len(same)} of the frames of {recording.folder}, which would count twice; diagnose without it, or "

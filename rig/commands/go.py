@@ -6,6 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import own_effects
 from rig.commands.output import add_port
 from rig.errors import RigError
 
@@ -29,6 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
     parser.add_argument("--speed", type=float, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
+    own_effects.argument(parser)
     add_port(parser)
 
 
@@ -38,7 +40,6 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from calib import store
     from rig import mechanisms
     from calib.correct.correction import reachable
     from rig.commands.driving import design_of, driving, lengths_text, print_status
@@ -46,7 +47,7 @@ def run(arguments: Namespace) -> None:
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     design = design_of(arguments.rig, arguments.port)
-    calibration = store.load(arguments.calibration)
+    calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     correction = calibration.correction
     _same(correction.nominal, hexapod_of(design.mechanism), arguments)
     wanted = pose_of(arguments.pose)

@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 
+from rig.commands import own_effects
 from rig.errors import RigError
 
 BEYOND = 0.05  # of an axis' range, by which a reading may lie beyond it
@@ -15,14 +16,13 @@ def forward(arguments: Namespace) -> None:
     """
     import numpy as np
 
-    from calib import store
     from calib.pose_covariance import pose_covariance
     from rig import mechanisms, table, writing
     from rig.observed import Poses
 
     if arguments.uncorrected or arguments.single_step or arguments.skip_unreachable or arguments.sensors:
         raise RigError("--uncorrected, --single-step, --skip-unreachable and --sensors are about commands for wanted poses, not about --forward")
-    calibration = store.load(arguments.calibration)
+    calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     correction, nominal = calibration.correction, calibration.correction.nominal
     kinematics = mechanisms.of(nominal)
     rows = table.read(arguments.forward, ("frame", *nominal.axes))

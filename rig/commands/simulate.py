@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import own_effects
 from rig.commands.output import Progress, add_force
 from rig.errors import RigError
 
@@ -29,6 +30,7 @@ def arguments(parser: ArgumentParser) -> None:
                         "combined:N, ladder:N, payload:N, moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES, commands:FILE; or standard "
                         "(the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
+    own_effects.argument(parser)
     parser.add_argument("--noise", type=float, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
@@ -55,8 +57,8 @@ def run(arguments: Namespace) -> None:
         return _again(arguments)
     if arguments.design is None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
-    design = design_file.load(arguments.design)
-    effects = tuple(placed(parse(text), design) for text in arguments.effect)
+    design, kinds = design_file.load(arguments.design), own_effects.known(own_effects.plugins(arguments))
+    effects = tuple(placed(parse(text, kinds), design) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
     if design.instrument is None and not (design.cameras and design.targets):
@@ -79,7 +81,7 @@ def run(arguments: Namespace) -> None:
         opengl()
     rng = np.random.default_rng(arguments.seed)
     if arguments.machine:
-        secret = world.from_truth(arguments.machine, design)
+        secret = world.from_truth(arguments.machine, design, kinds)
         secret = replace(secret, effects=secret.effects + effects)
     else:
         secret = world.draw(design, rng, arguments.secret, effects)
@@ -120,7 +122,7 @@ def _again(arguments: Namespace) -> None:
     from synthetic.again import again
     from synthetic.pictures import Images
 
-    done = again(arguments.source)
+    done = again(arguments.source, own_effects.known(own_effects.plugins(arguments)))
     out = arguments.outputs.folder(arguments.out)
     sensor = next(iter(done.values())).world.true.sensor
     sensor = replace(sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})

@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import own_effects
 from rig.commands.output import SEED, Progress, add_json, add_recording, print_comparison, print_json, print_unsolved, read_recording
 from rig.errors import RigError
 
@@ -25,6 +26,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording(parser)
     add_json(parser)
+    own_effects.argument(parser)
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
 
@@ -35,7 +37,7 @@ def run(arguments: Namespace) -> None:
 
     progress = Progress()
     progress("reading the recording", 0, 1)
-    calibration = store.load(arguments.calibration)
+    calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
     recording = read_recording(arguments)
 

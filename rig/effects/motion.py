@@ -66,6 +66,11 @@ class Path:
         return self.speeds[self.at]
 
     @property
+    def direction(self) -> np.ndarray:
+        """(n, axes) -1 or 1, which way each axis last moved before the exposures; 0 where it never did."""
+        return np.sign(self.since_reversal)
+
+    @property
     def way(self) -> np.ndarray:
         """(n, axes) m or rad that the axes have travelled by the exposures, whichever way."""
         return np.abs(self._steps).cumsum(axis=0)[self.at]
@@ -152,6 +157,13 @@ class Motion:
     def stroke(self) -> np.ndarray:
         """(n, axes) m or rad from home."""
         return self.lengths - self.home
+
+    @property
+    def displaced(self) -> np.ndarray:
+        """(n, 6) m and rad of the platform, or the hand, from home: translation and rotation vector in the frame of poses."""
+        home = self.kind.forward(self.home[None], self.mechanism)
+        T = self.posed()
+        return np.concatenate([T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1)
 
     def once(self, key: tuple, make: Callable[[], np.ndarray]) -> np.ndarray:
         """What `make` makes, kept under a key for as long as this Motion lasts."""

@@ -1,6 +1,7 @@
 """Effects as text: backlash:strut3:gap=40e-6 on a command line, a dict in a truth file."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,28 +16,31 @@ from rig.errors import RigError
 from rig.outside import shown
 
 
-def parse(text: str) -> Effect:
-    """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes.
+Kinds = Mapping[str, type[Effect]]  # effects by their names
+
+
+def parse(text: str, known: Kinds = BY_NAME) -> Effect:
+    """An effect from NAME:PLACE:PARAMETER=VALUE,.. ; a vector's numbers are parted by slashes. known : all that there are
 
     The place may leave out its kind where there is no doubt ("strut3", "3", "cam1", "P2"), or stand alone ("rig", "cameras").
     Raises RigError naming what is not known.
     """
     name, _, rest = text.partition(":")
-    kind = _named(name, text)
+    kind = _named(name, text, known)
     place, _, assignments = rest.partition(":")
     values = {}
-    known = {parameter.name: parameter for parameter in kind.parameters}
+    own = {parameter.name: parameter for parameter in kind.parameters}
     for assignment in filter(None, assignments.split(",")):
         key, equals, value = assignment.partition("=")
         key = key.strip()
-        if not equals or key not in known:
-            raise RigError(f"effect {shown(text)}: {shown(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(known)}")
+        if not equals or key not in own:
+            raise RigError(f"effect {shown(text)}: {shown(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(own)}")
         try:
             numbers = tuple(float(part) for part in value.split("/"))
         except ValueError:
             raise RigError(f"effect {shown(text)}: {shown(value)} is no number") from None
-        values[key] = numbers if known[key].size != 1 else numbers[0]
-        if known[key].size == 1 and len(numbers) > 1:
+        values[key] = numbers if own[key].size != 1 else numbers[0]
+        if own[key].size == 1 and len(numbers) > 1:
             raise RigError(f"effect {shown(text)}: {key} is one number, got {shown(value)}")
     try:
         return check(kind(_place(place.strip(), kind), **values))
@@ -65,18 +69,18 @@ def to_dict(effect: Effect) -> dict:
                            if isinstance(value, tuple) or np.isfinite(value)}}  # what is infinite is its default
 
 
-def from_dict(tree: dict) -> Effect:
-    """The effect of such a dict. Raises RigError for one that is none."""
+def from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
+    """The effect of such a dict, of those known. Raises RigError for one that is none."""
     if not isinstance(tree, dict) or not isinstance(tree.get("effect"), str) or not isinstance(tree.get("place"), str) \
             or not isinstance(tree.get("parameters"), dict):
         raise RigError(f"{shown(tree)} is no effect: it takes effect, place and parameters")
-    kind = _named(tree["effect"], tree["effect"])
-    known = {parameter.name for parameter in kind.parameters}
+    kind = _named(tree["effect"], tree["effect"], known)
+    own = {parameter.name for parameter in kind.parameters}
     values = {}
     for key, value in tree["parameters"].items():
         numbers = value if isinstance(value, list) else [value]
-        if key not in known or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
-            raise RigError(f"{shown(tree)} is no effect: {shown(key)} = {shown(value)}; {kind.name} has {', '.join(sorted(known))}, numbers")
+        if key not in own or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
+            raise RigError(f"{shown(tree)} is no effect: {shown(key)} = {shown(value)}; {kind.name} has {', '.join(sorted(own))}, numbers")
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
         return check(kind(tree["place"], **values))
@@ -84,18 +88,18 @@ def from_dict(tree: dict) -> Effect:
         raise RigError(f"{shown(tree)} is no effect: {error}") from None
 
 
-def _named(name: str, text: str) -> type[Effect]:
-    if name not in BY_NAME:
-        near = slip(name, BY_NAME)
+def _named(name: str, text: str, known: Kinds) -> type[Effect]:
+    if name not in known:
+        near = slip(name, known)
         raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}{f'; is {near!r} meant?' if near else ''}; there are "
-                       f"{', '.join(BY_NAME)}")
-    return BY_NAME[name]
+                       f"{', '.join(known)}; of your own, those in files that --effects names")
+    return known[name]
 
 
-def asked(text: str, design: Design) -> str:
-    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it. Raises RigError for what can never be asked."""
+def asked(text: str, design: Design, known: Kinds = BY_NAME) -> str:
+    """The text "EFFECT" or "EFFECT PLACE" itself, as a diagnosis is asked for it, of those known. Raises RigError for what can never be asked."""
     name, _, place = text.partition(" ")
-    kind = _named(name, name)
+    kind = _named(name, name, known)
     if not place:
         return text
     try:
@@ -105,10 +109,10 @@ def asked(text: str, design: Design) -> str:
     return text
 
 
-def site(text: str, design: Design) -> tuple[str, str]:
-    """(effect, place) of "EFFECT PLACE", as a diagnosis takes it to be there. Raises RigError for what no diagnosis can begin with."""
+def site(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
+    """(effect, place) of "EFFECT PLACE", of those known. Raises RigError for what no diagnosis can begin with."""
     name, _, place = text.partition(" ")
-    kind = _named(name, text)
+    kind = _named(name, text, known)
     if kind.discrete:
         raise RigError(f"{shown(text)}: a {name} is looked for before all else and cannot be assumed; state it in rig.toml")
     try:

@@ -5,25 +5,29 @@ from dataclasses import dataclass
 
 from calib.diagnose.engine.candidates import Candidate, NotAsked
 from calib.diagnose.engine.given import Given
+from rig.effects import ALL
+from rig.effects.base import Effect
 from rig.errors import RigError
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left out."""
+    """only : "effect" or "effect place" to which the catalogue is confined, empty for all of it; without : what is left out
+    kinds : the catalogue, with what a user adds to it."""
 
     only: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
+    kinds: tuple[type[Effect], ...] = ALL
 
     @staticmethod
-    def of(only: Iterable[str] | None, without: Iterable[str], given: Given) -> "Asked":
+    def of(only: Iterable[str] | None, without: Iterable[str], given: Given, kinds: tuple[type[Effect], ...] = ALL) -> "Asked":
         """Asked with what is assumed besides. Raises RigError where that is left out at the same time."""
-        asked = Asked(tuple(only or ()), tuple(without))
+        asked = Asked(tuple(only or ()), tuple(without), kinds)
         assumed = tuple(f"{name} {place}" for name, place in given.assumed)
         out = [text for text, (name, _) in zip(assumed, given.assumed) if {name, text} & set(asked.without)]
         if out:
             raise RigError(f"{' and '.join(out)} cannot be assumed and left out at once")
-        return Asked((*asked.only, *assumed) if asked.only else (), asked.without)
+        return Asked((*asked.only, *assumed) if asked.only else (), asked.without, kinds)
 
     def name(self, name: str) -> bool:
         """Whether an effect is asked for at any place."""

@@ -25,7 +25,7 @@ def moves(path: Path, commands: Commands, t: np.ndarray) -> dict[str, np.ndarray
     wait = np.log(np.maximum(path.dwell, AT_ONCE))
     own = {"step": path.last_step, "speed": speed(commands, t), "way travelled": path.way}
     out = {name: np.stack([powers(column, 2) for column in values.T], axis=1) for name, values in own.items() if np.ptp(values) > 0}
-    out["direction"] = direction(path)[..., None]
+    out["direction"] = path.direction[..., None]
     return {**out, "dwell": powers(wait, 2)[:, None, :]} if np.ptp(wait) > 0 else out
 
 
@@ -49,14 +49,6 @@ def cosines(t: np.ndarray, count: int) -> np.ndarray:
     """(F, q) so many cosines of time, slowest first."""
     s = (t - t[0]) / max(np.ptp(t), 1e-300)
     return np.cos(np.pi * s[:, None] * np.arange(1, count + 1))
-
-
-def direction(path: Path) -> np.ndarray:
-    """(F, axes) -1 or 1: which way each axis last moved before the exposure, 0 where it never did."""
-    step = np.sign(np.diff(path.lengths, axis=0, prepend=path.lengths[:1]))
-    for j in range(1, len(step)):
-        step[j] = np.where(step[j] == 0, step[j - 1], step[j])
-    return step[path.at]
 
 
 def speed(commands: Commands, t: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from calib.diagnose.report.schema import (
     Value,
     covariate_entries,
     recording_entries,
+    effects_files,
     said_of,
     write,
 )
@@ -49,6 +50,7 @@ def report(d: ArmDiagnosis) -> Report:
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
                   recordings=recording_entries(d.parts),
+                  own_effects=effects_files(d.own),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
 
@@ -166,12 +168,13 @@ def _cycle(d: ArmDiagnosis, finding: Finding, theta: np.ndarray) -> dict[str, Va
 
 def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> FindingEntry:
     candidate, score = d.fit.terms[finding.number].candidate, finding.score
-    others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
-                                    experiment(candidate, a.score.candidate), a.score.node.get("order")) for a in finding.alternatives)
+    others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
+                                    experiment((candidate.kind, candidate.place), (other.kind, other.place)), a.score.node.get("order"))
+                   for a, other in ((a, a.score.candidate) for a in finding.alternatives))
     evidence = Evidence(score.delta_bic(d.fit.size), min(1.0, score.p_value * d.asked), proof.before, proof.after, proof.unit, proof.gain)
     found = parameters(d, finding)
     return FindingEntry(candidate.name, candidate.place, found, evidence, others, candidate.kind.action_at(candidate.place),
-                        said_of(d.given, candidate.name, candidate.place), unusual(candidate.name, candidate.place, found))
+                        said_of(d.given, candidate.name, candidate.place), unusual(candidate.kind, candidate.place, found))
 
 
 def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:

@@ -103,6 +103,8 @@ def _remaining(report: Report, view: View) -> list[Part]:
 def _asked(report: Report, view: View) -> str:
     asked = f"<p>{view.asked} hypotheses, an effect at a place each, were held against the recording.</p>"
     asked += f"<p>Said by the operator beforehand: {html.escape('; '.join(report.said))}.</p>" if report.said else ""
+    files = "; ".join(f"{f.file} ({', '.join(f.effects)}; sha256 {f.sha256})" for f in report.own_effects)
+    asked += f"<p>Effects of the operator's own: {html.escape(files)}.</p>" if files else ""
     if not report.not_asked:
         return asked + "<p>The whole catalogue could be asked for.</p>"
     rows = [(s.effect.replace("_", " "), s.reason) for s in report.not_asked]

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.engine.candidates import Candidate
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.select import Finding
@@ -26,11 +25,11 @@ from calib.diagnose.report.schema import (
     Value,
     covariate_entries,
     recording_entries,
+    effects_files,
     said_of,
     write,
 )
 from rig import machine_file
-from rig.effects import BY_NAME
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
@@ -47,7 +46,7 @@ def report(d: PlatformDiagnosis) -> Report:
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said,
-                  recording_entries(d.parts))
+                  recording_entries(d.parts), effects_files(d.own))
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:
@@ -101,15 +100,15 @@ def fit_entry(fit: CrossValidation) -> FitEntry:
     return FitEntry(fit.before, fit.after, fit.floor, fit.unit)
 
 
-def experiment(a: Candidate | Effect, b: Candidate) -> str:
-    """What would tell two hypotheses apart, in words."""
-    shown = [BY_NAME[one.name].experiment_at(one.place) for one in (a, b)]
-    return shown[0] if a.name == b.name else f"{a.name}: {shown[0]}; {b.name}: {shown[1]}"
+def experiment(*sites: tuple[type[Effect], str]) -> str:
+    """What would tell two hypotheses, an effect at a place each, apart, in words."""
+    names, shown = [kind.name for kind, _ in sites], [kind.experiment_at(place) for kind, place in sites]
+    return shown[0] if names[0] == names[1] else "; ".join(f"{name}: {text}" for name, text in zip(names, shown))
 
 
-def unusual(name: str, place: str, parameters: dict[str, Value]) -> str | None:
+def unusual(kind: type[Effect], place: str, parameters: dict[str, Value]) -> str | None:
     """Why the size of an effect at a place is hard to believe, or None."""
-    return BY_NAME[name].unusual(place, {key: value.value for key, value in parameters.items()})
+    return kind.unusual(place, {key: value.value for key, value in parameters.items()})
 
 
 def _swapped(effect: MarkerSwap) -> FindingEntry:
@@ -129,11 +128,12 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
     effect = refined.point.effects[finding.number]
     evidence = Evidence(score.delta_bic(refined.model.size), min(1.0, score.p_value * d.selection.asked), proof.before, proof.after, proof.unit,
                         proof.gain)
-    others = tuple(AlternativeEntry(a.score.candidate.name, a.score.candidate.place, a.behind, a.cosine,
-                                    experiment(effect, a.score.candidate)) for a in finding.alternatives)
+    others = tuple(AlternativeEntry(other.name, other.place, a.behind, a.cosine,
+                                    experiment((type(effect), effect.place), (other.kind, other.place)))
+                   for a, other in ((a, a.score.candidate) for a in finding.alternatives))
     parameters = _parameters(refined, finding.number, effect, d.origin)
     return FindingEntry(effect.name, effect.place, parameters, evidence, others, effect.action_at(effect.place),
-                        said_of(d.given, effect.name, effect.place), unusual(effect.name, effect.place, parameters))
+                        said_of(d.given, effect.name, effect.place), unusual(type(effect), effect.place, parameters))
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:

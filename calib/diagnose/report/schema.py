@@ -8,6 +8,7 @@ from typing import Any
 
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
+from rig.effects.plugin import Plugin
 from rig.files import write_text
 from rig.notebook import shown
 from rig.recording import Part
@@ -125,6 +126,20 @@ class ShareEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class EffectsFile:
+    """A file of effects of the operator's own that were asked for besides the catalogue. sha256 : of its bytes; effects : their names."""
+
+    file: str
+    sha256: str
+    effects: tuple[str, ...]
+
+
+def effects_files(own: tuple[Plugin, ...]) -> tuple[EffectsFile, ...]:
+    """Entries of files of effects, in their order."""
+    return tuple(EffectsFile(plugin.path.name, plugin.sha256, tuple(kind.name for kind in plugin.kinds)) for plugin in own)
+
+
+@dataclass(frozen=True, slots=True)
 class CovariateEntry:
     """What is left against one covariate. explains : {"struts" | "images" | "joints": ShareEntry}"""
 
@@ -158,7 +173,8 @@ class Report:
     findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
     fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
     covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
-    recordings : where it is several, which; more : what one kind of machine has to say besides"""
+    recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
+    more : what one kind of machine has to say besides"""
 
     recording: str
     start_s: float
@@ -172,6 +188,7 @@ class Report:
     covariates: tuple[CovariateEntry, ...] = ()
     said: tuple[str, ...] = ()
     recordings: tuple[RecordingEntry, ...] = ()
+    own_effects: tuple[EffectsFile, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:

@@ -10,11 +10,10 @@ from calib.diagnose.engine.candidates import Candidate, Node, NotAsked
 from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.asked import Asked
-from rig.effects import ALL
 from rig.effects.base import Effect
 from rig.effects.candidate import COUNT, QUADRATURE
 from rig.effects.candidate import Candidate as EffectCandidate
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 
 
 class Form(Enum):
@@ -72,7 +71,7 @@ def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], li
     Raises RigError for a place where what is asked for cannot sit.
     """
     out, skipped, sites = [], [], {}
-    for kind in ALL:
+    for kind in asked.kinds:
         if not asked.touches(kind.name) or kind.discrete or kind.stage in ("targets", "view"):
             continue
         try:
@@ -83,6 +82,8 @@ def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], li
             for place in found:
                 if asked.place(kind.name, place):
                     out += _candidates(tuple(kind.candidates(place, arms.context)), arms)
+        except FileError:
+            raise  # of a file that a user wrote
         except RigError as error:
             skipped.append(NotAsked(kind.name, str(error)))
     asked.check(sites)

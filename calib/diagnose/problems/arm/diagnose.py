@@ -27,6 +27,9 @@ from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
 from rig.design import Arm
+from rig.effects import ALL
+from rig.effects.base import Effect
+from rig.effects.plugin import Plugin
 from rig.origin import Origin
 from rig.recording import Part, Recording
 
@@ -56,7 +59,7 @@ class ArmDiagnosis:
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
     left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
     origin : of the owner's clock, which moments are told by
-    given : what was said beforehand; said : the operator's words, as options"""
+    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides"""
 
     recording: str
     source: str
@@ -77,20 +80,21 @@ class ArmDiagnosis:
     given: Given = Given()
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
+    own: tuple[Plugin, ...] = ()
 
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             given: Given = UNSAID) -> ArmDiagnosis:
+             given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL) -> ArmDiagnosis:
     """ArmDiagnosis of a Recording of an arm. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
-    given : what is in from the start
+    given : what is in from the start; kinds : the catalogue, with what a user adds to it
 
     Raises NotEnoughData where too little was measured, and what calibrating raises
     """
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
     arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
-    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given), progress, given=given)
+    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
     return replace(done, origin=recording.origin, parts=recording.parts)
 
 

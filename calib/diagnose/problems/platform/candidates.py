@@ -9,11 +9,10 @@ from calib.diagnose.engine.candidates import Candidate, Node, NotAsked, Role, Us
 from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from rig.effects import ALL
 from rig.effects.base import Context, Effect
 from rig.effects.candidate import COUNT, QUADRATURE
 from rig.effects.candidate import Candidate as EffectCandidate
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
 SEARCHED = ("log", "even", "moment")  # roles of parameters that mean nothing without the effect
@@ -87,7 +86,7 @@ def seen_alone(kind: type[Effect] | Effect) -> bool:
 def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[PlatformCandidate], list[NotAsked]]:
     """(candidates, what cannot be asked) of an OperatingPoint, of the catalogue as far as it is asked for."""
     out, skipped, sites, context = [], [], {}, context_of(point)
-    for kind in ALL:
+    for kind in asked.kinds:
         if not asked.touches(kind.name):
             continue
         try:
@@ -98,6 +97,8 @@ def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[Platf
             for place in sites[kind.name]:
                 if asked.place(kind.name, place):
                     out += [candidate_of(spec) for spec in kind.candidates(place, context)]
+        except FileError:
+            raise  # of a file that a user wrote
         except RigError as error:
             skipped.append(NotAsked(kind.name, str(error)))
     asked.check(sites)

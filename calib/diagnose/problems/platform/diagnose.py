@@ -24,9 +24,11 @@ from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
 from calib.certify.calibration import Calibration
 from calib.pipeline import Sampled
+from rig.effects import ALL
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
+from rig.effects.plugin import Plugin
 from rig.origin import Origin
 from rig.recording import Part, Recording
 from vision.bundle.places import Move, moves
@@ -50,7 +52,7 @@ class PlatformDiagnosis:
     left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     given : what was said beforehand; said : the operator's words, as options
-    parts : (Part, ..) of several recordings together"""
+    parts : (Part, ..) of several recordings together; own : files of effects that were asked for besides"""
 
     recording: str
     source: str
@@ -68,6 +70,7 @@ class PlatformDiagnosis:
     given: Given = Given()
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
+    own: tuple[Plugin, ...] = ()
 
     @property
     def effects(self) -> list[Effect]:
@@ -84,17 +87,18 @@ class PlatformDiagnosis:
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             calibration: Calibration | None = None, given: Given = UNSAID, sampled: Sampled | None = None) -> PlatformDiagnosis:
+             calibration: Calibration | None = None, given: Given = UNSAID, sampled: Sampled | None = None,
+             kinds: tuple[type[Effect], ...] = ALL) -> PlatformDiagnosis:
     """PlatformDiagnosis of a Recording.
 
     only, without : names of effects, or "effect place", to which the catalogue is confined or which are left out
     progress : called with (label, done, of), or None
     calibration : of another recording, whose joints are taken as known to its covariance: what it has not swallowed
     shows, and what has changed since; given : what is in from the start
-    sampled : Sampled of the recording where it was measured before, or None
+    sampled : Sampled of the recording where it was measured before, or None; kinds : the catalogue, with what a user adds to it
     Raises NotEnoughData where too little was measured, RigError where what is assumed cannot be asked, and what measuring raises
     """
-    asked = Asked.of(only, without, given)
+    asked = Asked.of(only, without, given, kinds)
     point, source, measured = of_recording(recording, progress, calibration, "auto" if asked.name(FaceMisplacement.name) else "stated",
                                            sampled)
     moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []

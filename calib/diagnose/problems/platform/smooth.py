@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.problems.histories import cosines, direction, powers, speed, unit
+from calib.diagnose.problems.histories import cosines, powers, speed, unit
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.search import mount_pixels
@@ -28,7 +28,7 @@ def strut_weights(k: OperatingPoint) -> list[tuple[str, list[tuple[str, np.ndarr
         if np.ptp(series) > 0:
             bases.append((name, _alike(powers(series, 2), ones)))
     motion = k.motion(())
-    lengths, way_last = motion.lengths, direction(motion.path)
+    lengths, way_last = motion.lengths, motion.path.direction
     for j in range(k.axes):
         bases.append((f"strut {j + 1}'s position", _alike(powers(lengths[:, j], 4), ones)))
     scaled = np.stack([unit(column) for column in lengths.T], axis=1)
