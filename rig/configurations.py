@@ -154,11 +154,10 @@ def iso9283(design: Design) -> np.ndarray:
     """(5, 6) commands of ISO 9283's test poses: P1 in the middle of the largest cube of positions that the struts reach about home, P2 to P5 on the
     diagonals of a plane through four of its corners, a tenth of the diagonal from each. Raises RigError for a mechanism that is no hexapod."""
     mechanism = _hexapod(design, "ISO 9283's poses are planned for hexapods")
-    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
-    half = _reach(mechanism, np.pad(corners, ((0, 0), (0, 3)))).min()
+    corners = np.pad(list(product((-1.0, 1.0), repeat=3)), ((0, 0), (0, 3)))
+    half = _reach(mechanism, corners).min()
     plane = corners[corners[:, 1] == corners[:, 2]]
-    offsets = half * np.concatenate([np.zeros((1, 3)), DIAGONAL * plane])
-    return mechanisms.of(mechanism).inverse(_shifted(mechanism, np.pad(offsets, ((0, 0), (0, 3)))), mechanism)
+    return mechanisms.of(mechanism).inverse(_shifted(mechanism, half * np.concatenate([np.zeros((1, 6)), DIAGONAL * plane])), mechanism)
 
 
 def _shifted(mechanism: Hexapod, offset: np.ndarray) -> RigidTransform:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.layout_parts import FACES, camera_lines, checked, cube_lines, row, rows
+from rig.layout_parts import Ring, camera_lines, checked, rings, row, rows
 
 JOINT_PAIRS = (0.244, 0.733)  # rad, half the angle between the two joints of a pair on the base and on the platform
 LIMB_PAIRS = (0.35, 0.62)  # rad, the same of measuring limbs beside the struts
@@ -40,13 +40,8 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
                   "length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m6)"]
     lines += camera_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
-    number = 0
-    for body, circle, edge, turn in (("platform", 0.45 * radius, edge_platform, 0.35), ("base", 1.25 * radius, edge_base, 0.9)):
-        for i in range(cubes):
-            angle = turn + 2 * np.pi * i / cubes
-            place = (circle * np.cos(angle), circle * np.sin(angle), edge / 2)
-            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, number, edge, place, (0, 0, angle))
-            number += len(FACES)
+    lines += rings(cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
+                   Ring(np.array([0, 0, edge_base / 2]), 1.25 * radius, edge_base, 0.9))
     return "\n".join(lines) + "\n"
 
 

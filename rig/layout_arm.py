@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig import shelf
 from rig.design import Arm
 from rig.kinds import arm_of
-from rig.layout_parts import FACES, camera, camera_lines, checked, cube_lines, looking
+from rig.layout_parts import FACES, Ring, camera, camera_lines, checked, cube_lines, looking, rings
 from rig.mechanisms import arm as mechanism
 from rig.configurations import low_discrepancy
 
@@ -61,15 +61,10 @@ def _narrowed(text: str, arm: Arm) -> str:
 
 
 def _cubes_in_hand(middle: np.ndarray, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> list[str]:
-    lines, number, low = camera_lines(middle, reach, cameras, *size), 0, middle - [0, 0, 0.8 * reach]
-    for body, centre, circle, edge in (("platform", np.zeros(3), 0.22 * reach, 0.24 * reach), ("base", low, reach, 0.3 * reach)):
-        edge *= 2 / np.sqrt(max(cubes, 4))
-        for i in range(cubes):
-            angle = 0.35 + 2 * np.pi * i / cubes
-            place = centre + [circle * np.cos(angle), circle * np.sin(angle), edge / 2]
-            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, number, edge, place, (0, 0, angle))
-            number += len(FACES)
-    return lines
+    edge_platform, edge_base = (share * reach * (2 / np.sqrt(max(cubes, 4))) for share in (0.24, 0.3))
+    low = middle - [0, 0, 0.8 * reach - edge_base / 2]
+    return camera_lines(middle, reach, cameras, *size) + rings(
+        cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.22 * reach, edge_platform, 0.35), Ring(low, reach, edge_base, 0.35))
 
 
 def _cameras_in_hand(T: RigidTransform, reach: float, cameras: int, size: tuple[int, int], cubes: int, dictionary: str) -> list[str]:
@@ -89,5 +84,5 @@ def _cameras_in_hand(T: RigidTransform, reach: float, cameras: int, size: tuple[
         depth = 0.12 * far * ((i * 2) % 3 - 1)
         place = T.translation + (far + depth) * ahead + 0.42 * far * field.apply([across, up, 0.0])
         turn = (facing * Rotation.from_rotvec([0, 0, 0.4 * i])).as_rotvec()
-        lines += cube_lines(f"B{i + 1}", "base", dictionary, 5 * i, 0.17 * far, place, turn)
+        lines += cube_lines(f"B{i + 1}", "base", dictionary, len(FACES) * i, 0.17 * far, place, turn)
     return lines

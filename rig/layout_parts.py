@@ -1,6 +1,7 @@
 """Cameras where they see a rig and cubes on its bodies, as the lines of a rig.toml."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -14,6 +15,15 @@ MARKER_SHARE = 0.8  # of a cube's edge
 DISTANCE_SHARE = 4.4  # cameras from the middle of what they see, over how far that reaches
 ELEVATION = 0.52  # rad above the middle
 FILLED = 1.6  # times that reach what fills the image
+
+
+class Ring(NamedTuple):
+    """Where cubes stand around a body. centre : (3,) m; radius, edge : m, of the circle and of a cube; turn : rad, of the first cube"""
+
+    centre: np.ndarray
+    radius: float
+    edge: float
+    turn: float
 
 
 def checked(radius: float, cameras: int, cubes: int, dictionary: str) -> None:
@@ -64,6 +74,18 @@ def cube_lines(name: str, body: str, dictionary: str, first: int, edge: float, p
     return ["", "[[target]]", f'name = "{name}"', f'body = "{body}"', f"edge = {edge:.6g}   # m", f"marker = {MARKER_SHARE * edge:.6g}   # m",
             f'dictionary = "{dictionary}"', f"faces = {{ {faces} }}",
             f"pose = {{ position = {row(place)}, rotvec = [{turned}] }}   # cube in body"]
+
+
+def rings(cubes: int, dictionary: str, platform: Ring, base: Ring) -> list[str]:
+    """Lines of so many cubes around each of two bodies, every face with an identity of its own."""
+    lines = []
+    for k, (body, ring) in enumerate((("platform", platform), ("base", base))):
+        for i in range(cubes):
+            angle = ring.turn + 2 * np.pi * i / cubes
+            place = ring.centre + ring.radius * np.array([np.cos(angle), np.sin(angle), 0.0])
+            first = (k * cubes + i) * len(FACES)
+            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, first, ring.edge, place, (0, 0, angle))
+    return lines
 
 
 def row(values: Iterable[float]) -> str:

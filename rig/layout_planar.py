@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.layout_parts import FACES, camera_lines, checked, cube_lines, rows
+from rig.layout_parts import Ring, camera_lines, checked, rings, rows
 
 APART, AWAY = 1.0, 1.1  # base joints either side of the middle, and the hinge's middle in front of them, over the radius
 STROKE_SHARE = 0.45  # of the radius
@@ -29,13 +29,8 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
              "[actuator]", "screw_lead = 0.004   # m per revolution", f"max_speed = {0.17 * radius:.4g}   # m/s", "",
              "[platform]", f"mass = {200 * radius**3:.4g}   # kg"]
     lines += camera_lines(middle + [0, 0, 0.2 * radius], SEEN * radius, cameras, width, height)
-    number = 0
-    for body, centre, circle, edge, turn in (("platform", np.zeros(3), 0.0 if cubes == 1 else 0.3 * radius, 0.3 * radius, 0.35),
-                                             ("base", middle, 0.85 * radius, 0.28 * radius, 0.9)):
-        edge /= np.sqrt(max(cubes, 2) / 2)
-        for i in range(cubes):
-            angle = turn + 2 * np.pi * i / cubes
-            place = centre + [circle * np.cos(angle), circle * np.sin(angle), UP * radius + edge / 2]
-            lines += cube_lines(f"{body[0].upper()}{i + 1}", body, dictionary, number, edge, place, (0, 0, angle))
-            number += len(FACES)
+    edge_platform, edge_base = (share * radius / np.sqrt(max(cubes, 2) / 2) for share in (0.3, 0.28))
+    lines += rings(cubes, dictionary,
+                   Ring(np.array([0, 0, UP * radius + edge_platform / 2]), 0.0 if cubes == 1 else 0.3 * radius, edge_platform, 0.35),
+                   Ring(middle + [0, 0, UP * radius + edge_base / 2], 0.85 * radius, edge_base, 0.9))
     return "\n".join(lines) + "\n"
