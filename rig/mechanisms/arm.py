@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig.design import Arm
 from rig.errors import Unreachable
 
-AXIS, UNIT, LOAD = "joint", "rad", "N m"
+AXIS, UNIT = "joint", "rad"
 TOLERANCE = 1e-12  # m and rad; what the iteration leaves of a pose
 GOOD = 1e-10  # m and rad; what counts as solved: a pose given to 1e-12 at the edge of the reach keeps 1e-6 rad of play
 MAX_ITERATIONS = 80

@@ -15,7 +15,7 @@ from rig.errors import NotConverged, Unreachable
 from rig.mechanisms import arm, hexapod, planar
 from rig.pose import difference, skew
 
-AXIS, UNIT, LOAD = "axis", "m", "N"
+AXIS, UNIT = "axis", "m"
 KINDS: dict[str, ModuleType] = {"hexapod": hexapod, "planar2": planar, "arm": arm}
 TOLERANCE = 1e-12  # m and rad
 GOOD = 1e-10  # m and rad; what counts as solved

@@ -11,7 +11,7 @@ from rig.errors import NotConverged
 from rig.mechanisms import lanes
 from rig.pose import transform_points
 
-AXIS, UNIT, LOAD = "strut", "m", "N"
+AXIS, UNIT = "strut", "m"
 TOLERANCE = 1e-12  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 60
 MAX_TURN = 0.4  # rad per step: keeps Newton from jumping into another assembly

@@ -11,14 +11,13 @@ M = TypeVar("M", contravariant=True)  # the geometry of rig.design that a kind m
 class Kind(Protocol[M]):
     """A kind of machine: n axes that are commanded (m or rad) move one body, the platform.
 
-    AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"; LOAD : of what it bears, "N" or "N m"
+    AXIS : what an axis is called in a place ("strut", "joint"); UNIT : of its travel, "m" or "rad"
     An arm's prismatic joint is a "slide", its travel in m and its load in N: `rig.mechanisms.places` and `units` tell them axis by axis.
     A wrench is (force, moment) in N and N m on the platform's origin, in its axes; a tangent stands on the right (m, rad).
     """
 
     AXIS: str
     UNIT: str
-    LOAD: str
 
     def forward(self, values: np.ndarray, mechanism: M, guess: RigidTransform | None = None, /) -> RigidTransform:
         """T_base_platform (...) of commanded values (..., axes)."""

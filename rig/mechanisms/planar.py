@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import Planar2
 from rig.errors import NotConverged
 
-AXIS, UNIT, LOAD = "strut", "m", "N"
+AXIS, UNIT = "strut", "m"
 
 
 def inverse(T_base_platform: RigidTransform, planar: Planar2) -> np.ndarray:
