@@ -19,6 +19,11 @@ def write_table(path: Path, header: Iterable[str], rows: Iterable[str]) -> None:
     write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
+def write_configurations(path: Path, axes: Iterable[str], values: Iterable[np.ndarray]) -> None:
+    """Write configurations (k, axes) m or rad, numbered from 0, as the plan commands:FILE visits them; the figures keep 1e-7."""
+    write_table(path, ("frame", *axes), [f"{k}," + ",".join(f"{value:.7f}" for value in row) for k, row in enumerate(values)])
+
+
 def write_poses(path: Path, poses: Poses) -> None:
     """Write a poses.csv, with covariance where there is one; the figures keep 1e-10 m and rad."""
     header = ["frame", *POSE_COLUMNS, *(COVARIANCE_COLUMNS if poses.covariance is not None else ())]

@@ -11,6 +11,8 @@ from rig.commands.output import add_json, length, print_json
 from rig.errors import FileError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from rig.design import Design
     from vision.printed import Printed
 
@@ -89,7 +91,7 @@ def _sheet(text: str) -> tuple[float, float, float]:
     return length(width), length(height), MEASURED
 
 
-def _ruler(text: str) -> tuple[object, float]:
+def _ruler(text: str) -> tuple[np.ndarray, float]:
     found = re.fullmatch(r"([\d.]+),([\d.]+),([\d.]+),([\d.]+)=(.+)", text)
     if found is None:
         raise ArgumentTypeError(f"takes two places and the length between them, as 210,340,1890,352=100mm, not {text!r}")

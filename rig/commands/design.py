@@ -1,6 +1,5 @@
 """rig design --radius R --out rig.toml, or rig design --arm NAME [--seen cubes|hand] --out rig.toml."""
 
-
 from argparse import ArgumentParser, Namespace
 
 from rig.commands.output import add_force, file_or_stdout

@@ -16,7 +16,7 @@ def run(arguments: Namespace) -> None:
     """Print the catalogue as a table, or one effect whole."""
     from shutil import get_terminal_size
 
-    from rig.commands.usage import nearest
+    from rig.commands.usage import meant
     from rig.effects import ALL, BY_NAME
     from rig.effects.listing import table, tree, whole
 
@@ -28,8 +28,7 @@ def run(arguments: Namespace) -> None:
             print(table(ALL, width), end="")
         return
     if arguments.name not in BY_NAME:
-        near = nearest(arguments.name, BY_NAME)
-        raise RigError(f"there is no effect {arguments.name!r}{f'; did you mean {near}?' if near else ''} `rig effects` lists them")
+        raise RigError(f"there is no effect {arguments.name!r}{meant(arguments.name, BY_NAME) or '.'} `rig effects` lists them")
     effect = BY_NAME[arguments.name]
     if arguments.json:
         print_json(tree(effect))

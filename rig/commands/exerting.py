@@ -6,6 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig.commands.output import numbers
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ def wanted(arguments: Namespace, arm: Arm, dynamics: ArmDynamics, gravity: np.nd
     """The Exertion that is asked for, or None. gravity : (3,) m/s^2; path : of the arm's file. Raises RigError for what cannot be meant"""
     import numpy as np
 
-    from rig.commands.posture import numbers
     from rig.posture.exertion import Exertion, Strength
 
     if arguments.exert is None:

@@ -36,13 +36,12 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Go to a pose: the corrected lengths, checked, commanded and read back."""
-    from rig.kinds import hexapod_of
-
     import numpy as np
 
-    from rig import mechanisms
     from calib.correct.correction import reachable
+    from rig import mechanisms
     from rig.commands.driving import design_of, driving, lengths_text, print_status
+    from rig.kinds import hexapod_of
 
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from argparse import ArgumentParser, Namespace
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig.commands.output import add_json, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ LEAVES = 1e-9  # m or rad of a pose, from which it is said
 SINGULAR = 1e-6  # least over greatest singular value of the Jacobian, below which a configuration is called singular
 
 
-
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("arm", metavar="ARM", help="a rig.toml with an arm, an arm's calibration.json, or the name of a shipped one")
@@ -30,15 +30,13 @@ def arguments(parser: ArgumentParser) -> None:
     way.add_argument("--forward", metavar="FILE", type=Path, help="frame,q1..qn (rad, of slides m) -> poses")
     way.add_argument("--inverse", metavar="FILE", type=Path, help="frame,x,y,z,rx,ry,rz -> all joint solutions")
     parser.add_argument("--steps", action="store_true", help="points A, B, C (D, E) and space vectors after each joint, in the arm's global frame")
-    parser.add_argument("--json", action="store_true", help="print JSON (m, rad) instead of text")
+    add_json(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Print what joint values give, or all joint values that give poses, step by step where asked for."""
     from rig import recording, table
 
-    if arguments.arm.endswith((".toml", ".json")):
-        arguments.outputs.inputs.append(Path(arguments.arm))
     arm, correction = _arm(arguments.arm)
     if arguments.forward:
         rows = table.read(arguments.forward, ("frame", *arm.axes))
@@ -46,7 +44,10 @@ def run(arguments: Namespace) -> None:
     else:
         poses = recording.load_poses(arguments.inverse)
         tree = _inverse(poses.frame, poses.T_base_platform, arm, correction, arguments.steps)
-    print(json.dumps(tree, indent=1) if arguments.json else "\n".join(_forward_text(tree) if arguments.forward else _inverse_text(tree)))
+    if arguments.json:
+        print_json(tree)
+    else:
+        print("\n".join(_forward_text(tree) if arguments.forward else _inverse_text(tree)))
 
 
 def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
@@ -230,7 +231,7 @@ def _three(values: list[float], scale: float) -> str:
 
 
 def _joints(q: list[float], units: list[str]) -> str:
-    return ", ".join(f"{value * 1e3:.4f} mm" if unit == "m" else f"{value * 57.29577951308232:.4f}°" for value, unit in zip(q, units))
+    return ", ".join(f"{value * 1e3:.4f} mm" if unit == "m" else f"{degrees(value):.4f}°" for value, unit in zip(q, units))
 
 
 def _pose(vector: list[float]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.commands.output import add_force, length
+from rig.commands.usage import meant
 from rig.errors import RigError
 
 KINDS = ("hexapod", "planar2", "arm")
@@ -37,7 +38,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.out.parent} is no folder; make it first")
     if arguments.arm is not None and arguments.mechanism is None:
         arguments.mechanism = "arm"
-    kind = _answer(arguments, "mechanism", "What moves? hexapod (six struts), planar2 (two struts in a plane), arm", "hexapod", _kind)
+    kind = _answer(arguments, "mechanism", "What moves? hexapod (six struts), planar2 (two struts in a plane), arm", "hexapod", _one_of(KINDS))
     if kind == "arm":
         name = _answer(arguments, "arm", f"Which arm? {', '.join(shelf.names())}", None, _one_of(shelf.names()))
         text, seen = shelf.design(name), "its poses come from an instrument; see [instrument] in it"
@@ -87,17 +88,10 @@ def _answer(arguments: Namespace, name: str, question: str, default: str | None,
             print(f"  {error}", file=sys.stderr)
 
 
-def _kind(text: str) -> str:
-    return _one_of(KINDS)(text)
-
-
 def _one_of(names: list[str] | tuple[str, ...]) -> Callable[[str], str]:
     def read(text: str) -> str:
         if text not in names:
-            from rig.commands.usage import nearest
-
-            near = nearest(text, names)
-            raise ValueError(f"expected {', '.join(names)}, not {text!r}{f'; did you mean {near}?' if near else ''}")
+            raise ValueError(f"expected {', '.join(names)}, not {text!r}{meant(text, names)}")
         return text
 
     return read

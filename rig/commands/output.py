@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.progress_shown import Progress
+from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from rig.recording import Recording
     from vision.measure import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length",
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length", "numbers",
            "print_comparison", "print_json", "print_unsolved", "read_recording"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
@@ -88,6 +90,17 @@ def length(text: str) -> float:
                 return value
             break
     raise ArgumentTypeError(f"expected a length above 0 with its unit, 20um, 0.02mm or 2e-5m, not {text!r}")
+
+
+def numbers(texts: list[str], count: int, option: str) -> list[float]:
+    """So many numbers of an option's words, apart by commas or spaces. Raises RigError for anything else"""
+    try:
+        found = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(abs(number) < 1e6 for number in found):
+        raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
+    return found
 
 
 def add_driving(parser: ArgumentParser) -> None:

@@ -63,8 +63,7 @@ def _promise(arguments: Namespace) -> None:
     progress = Progress()
     found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided)
     progress.close()
-    writing.write_table(out, ("frame", *mechanism.axes),
-                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(found.commands)])
+    writing.write_configurations(out, mechanism.axes, found.commands)
     count, visited = len(found.commands), 0 if given is None else len(given)
     if not count:
         print(f"the promise is met by the {visited} configurations given: {found.left[0] * 1e6:.3g} um left")
@@ -88,8 +87,7 @@ def _parts(arguments: Namespace) -> None:
         raise RigError("--parts are visited as they are; --calibration and --given are for plans that are chosen")
     design = design_file.load(arguments.design)
     mechanism, goals = design.mechanism, [step.goal for step in steps(build(design, arguments.parts, SEED)) for _ in range(step.frames)]
-    writing.write_table(arguments.outputs.file(arguments.out), ("frame", *mechanism.axes),
-                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(goals)])
+    writing.write_configurations(arguments.outputs.file(arguments.out), mechanism.axes, goals)
     print(f"{len(goals)} configurations of {arguments.parts}")
     if mechanism.kind == "hexapod":
         moved = difference(mechanism.home, mechanisms.of(mechanism).forward(np.array(goals), mechanism)) * 1e3
@@ -164,8 +162,7 @@ def _parameters(arguments: Namespace) -> None:
     progress = Progress()
     chosen = choose(mechanism, arguments.count, arguments.sigma, arguments.criterion, given, SEED,
                     lambda done, of: progress("choosing", done, of), avoided)
-    writing.write_table(out, ("frame", *mechanism.axes),
-                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(chosen.commands)])
+    writing.write_configurations(out, mechanism.axes, chosen.commands)
     (before, _), (after, seen), (_, even) = (combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even))
     visited = 0 if given is None else len(given)
     print(f"{arguments.count} configurations beside {visited} given: condition number of the 42 parameters {seen.condition:.0f}, "
@@ -200,7 +197,7 @@ def _of_arm(arguments: Namespace, design: Design, arm: Arm, out: Any) -> None:
     progress = Progress()
     found = choose(arm, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
-    writing.write_table(out, ("frame", *arm.axes), [f"{k}," + ",".join(f"{value:.7f}" for value in q) for k, q in enumerate(found.q)])
+    writing.write_configurations(out, arm.axes, found.q)
     if looked is not None:
         print(f"markers are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
     print(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least gain first:")

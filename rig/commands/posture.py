@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import exerting
-from rig.commands.output import SEED, add_force, add_json, file_or_stdout, print_json
+from rig.commands.output import SEED, add_force, add_json, file_or_stdout, numbers, print_json
 from rig.errors import RigError
 from rig.files import write_text
 
@@ -171,17 +171,6 @@ def _directions(arguments: Namespace) -> tuple[str, ...]:
                 raise RigError(f"{'--force' if kind == 'f' else '--moment'} takes x, y or z, not {text!r}")
             chosen += [kind + axis for axis in axes]
     return tuple(name for name in DIRECTIONS if name in chosen)
-
-
-def numbers(texts: list[str], count: int, option: str) -> list[float]:
-    """So many numbers of an option's words, apart by commas or spaces. Raises RigError for anything else"""
-    try:
-        found = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(abs(number) < 1e6 for number in found):
-        raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
-    return found
 
 
 def _starts(first: np.ndarray, wanted: RigidTransform, arm: Arm) -> np.ndarray:

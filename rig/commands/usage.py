@@ -32,9 +32,7 @@ class Parser(ArgumentParser):
 
     def unknown(self, word: str, commands: Iterable[str]) -> NoReturn:
         """Say that there is no such command, and which was probably meant, and end with status 2."""
-        near = nearest(word, commands)
-        meant = f"; did you mean {near}?" if near else "."
-        self.exit(2, f"{self.prog}: error: there is no command {word!r}{meant} `{self.prog} --help` lists them\n")
+        self.exit(2, f"{self.prog}: error: there is no command {word!r}{meant(word, commands) or '.'} `{self.prog} --help` lists them\n")
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -45,6 +43,12 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     from difflib import get_close_matches
 
     return next(iter(get_close_matches(word, found, n=1, cutoff=0.6)), None)
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """What is said after a mistyped word: which of the known ones was probably meant, "" where none is like it."""
+    near = nearest(word, known)
+    return f"; did you mean {near}?" if near else ""
 
 
 def add_common(parser: ArgumentParser, command: str) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force
+from rig.commands.output import SEED, Progress, add_force, add_json, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("visits", metavar="VISIT", type=Path, nargs="*", help="small recordings, in the order in which they were taken")
     parser.add_argument("--history", metavar="FILE", type=Path, help="go on from the visits kept there where the file is there, and keep these too")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of lines (m, rad)")
+    add_json(parser)
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
     parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
     parser.add_argument("--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does")
@@ -72,7 +71,7 @@ def _watch(arguments: Namespace) -> int:
     if kept is not None:
         history_file.save(kept, history)
     if arguments.json:
-        print(json.dumps({"schema": "verdict/1", "visits": told}, indent=1))
+        print_json({"schema": "verdict/1", "visits": told})
     elif kept is not None:
         print(f"{history.number} visits in {arguments.history}")
     return CHANGED if changed else 0
@@ -104,8 +103,7 @@ def _plan(arguments: Namespace) -> None:
     progress = Progress()
     chosen = choose(calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
-    writing.write_table(out, ("frame", *calibration.correction.fitted.axes),
-                        [f"{k}," + ",".join(f"{value:.7f}" for value in values) for k, values in enumerate(chosen.commands)])
+    writing.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
     print(f"{arguments.count} poses; a pose measured to {chosen.sigmas[0] * 1e6:g} um and {chosen.sigmas[1] * 1e6:g} urad, one visit knows, all "
           "other changes allowed for (k=1; beside it as many poses evenly spread):")
     for name, sigma, even, unit in chosen.told():
