@@ -48,8 +48,8 @@ def run(arguments: Namespace) -> None:
         return
     import numpy as np
 
+    from rig import mechanisms, writing
     from rig import recording as recordings
-    from rig import writing
 
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
@@ -88,7 +88,7 @@ def run(arguments: Namespace) -> None:
         print(f"{(~field.inside(done.values)).sum()} of them lie beyond the samples of the correction: there it is extrapolated, continuously")
     if arguments.single_step:
         off = done.values - correction.inverse(wanted.poses.T_base_platform[keep])
-        print(f"the single step misses the fixed point by {np.abs(off).max():.3g} {'rad' if correction.nominal.kind == 'arm' else 'm'} at most")
+        print(f"the single step misses the fixed point by {np.abs(off).max():.3g} {mechanisms.unit(correction.nominal)} at most")
 
 
 def _commanded(arguments: Namespace, calibration: Calibration, wanted: Wanted, keep: np.ndarray,
