@@ -1,8 +1,10 @@
-"""The commands in a process of their own, and what their pages link to."""
+"""The commands in a process of their own or in this one, and what their pages link to."""
 
 import subprocess
 import sys
 from html.parser import HTMLParser
+
+from rig.cli import main
 
 RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
@@ -13,6 +15,18 @@ def run(*arguments, ok=True):
     assert "Traceback" not in done.stderr, done.stderr
     assert (done.returncode == 0) == ok, done.stdout + done.stderr
     return done
+
+
+def command(capsys, *first):
+    """A command of `rig` in this process, its words after the first ones: what it prints, or where it must fail what it complains of."""
+    def given(*arguments, ok=True):
+        capsys.readouterr()
+        status = main([str(argument) for argument in (*first, *arguments)])
+        out, complaint = capsys.readouterr()
+        assert status == (0 if ok else 1), complaint
+        return out if ok else complaint
+
+    return given
 
 
 class Links(HTMLParser):

@@ -7,21 +7,13 @@ import numpy as np
 import pytest
 
 from rig import recording, table
-from rig.cli import main
 from rig.pose import difference
+from tests.cli import command
 
 
 @pytest.fixture
 def rig(capsys):
-    """A command in this process: what it prints, or where it must fail what it complains of."""
-    def command(*arguments, ok=True):
-        capsys.readouterr()
-        status = main([str(argument) for argument in arguments])
-        out, complaint = capsys.readouterr()
-        assert status == (0 if ok else 1), complaint
-        return out if ok else complaint
-
-    return command
+    return command(capsys)
 
 
 def loop(folder, name, rig):

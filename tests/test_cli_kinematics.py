@@ -10,25 +10,18 @@ from scipy.spatial.transform import RigidTransform
 from calib.arms.correction import ArmCorrection
 from calib.arms.profile import Profile
 from rig import shelf
-from rig.cli import main
 from rig.commands import kinematics
 from rig.mechanisms import arm as mechanism
 from rig.mechanisms import reading
 from rig.pose import difference, pose, vector
 from tests.calib import arm_worlds as worlds
+from tests.cli import command
 from tests.rig.arms import UR10
 
 
 @pytest.fixture
 def rig(capsys):
-    """A command in this process: what it prints, or where it must fail what it complains of."""
-    def command(*arguments, ok=True):
-        status = main(["kinematics", *map(str, arguments)])
-        out, complaint = capsys.readouterr()
-        assert status == (0 if ok else 1), complaint
-        return out if ok else complaint
-
-    return command
+    return command(capsys, "kinematics")
 
 
 def poses_file(path, T):

@@ -1,14 +1,17 @@
 """The command line itself: help, versions, words mistyped, what is quiet, what is for programs, completion, and the commands that look around."""
 
+import ast
 import json
 import os
 import pty
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from rig import cli
 from rig.cli import COMMANDS, command_line, main
 from rig.commands import found
 from rig.commands.progress_shown import Progress, line
@@ -42,6 +45,15 @@ def test_version(capsys):
 def test_every_command_has_a_file_and_help():
     chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
     assert set(chosen) == set(COMMANDS) and all(len(sub.format_help()) > 100 for sub in chosen.values())
+
+
+def test_no_option_takes_a_name_that_the_command_line_sets():
+    """What rig/cli.py keeps among the arguments would stand in the place of what was asked for."""
+    tree = ast.parse(Path(cli.__file__).read_text())
+    own = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+           and isinstance(node.value, ast.Name) and node.value.id == "arguments"} | {"command", "run"}
+    chosen = next(action for action in command_line(COMMANDS)._actions if action.dest == "command").choices
+    assert {"argv", "outputs"} < own and [(name, action.dest) for name, sub in chosen.items() for action in sub._actions if action.dest in own] == []
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -12,10 +12,10 @@ from calib.arms.observations import of_orientations
 from calib.pipeline import sample_recording
 from calib.samples import Samples
 from rig import recording
-from rig.cli import main
 from rig.errors import FileError, RigError
 from rig.pose import difference, exp, pose
 from tests.calib import arm_worlds as worlds
+from tests.cli import command
 from tests.numeric import jacobian
 from tests.rig.arms import SCARA, SEVEN, UR10, configurations
 
@@ -110,12 +110,7 @@ def test_what_was_measured_of_poses_is_told_by_what_is_known():
     ("orientation", ("position_sigma = 2e-5", 'kind = "orientation"'), 60, 0.25, "mrad"),
     ("distance", ("rotation_sigma = 1e-4", 'kind = "distance"'), 300, 0.03, "mm")])
 def test_a_part_of_the_pose_calibrates_through_the_commands(tmp_path, capsys, kind, change, count, left, unit):
-    def rig(*arguments, status=0):
-        capsys.readouterr()
-        assert main([str(argument) for argument in arguments]) == status
-        out = capsys.readouterr()
-        return out.out if status == 0 else out.err
-
+    rig = command(capsys)
     rig("design", "--arm", "ur10", "--out", tmp_path / "stated.toml")
     text = (tmp_path / "stated.toml").read_text().replace(*change)
     (tmp_path / "rig.toml").write_text(text.replace('tool = "free"', 'tool = "rig"') if kind == "distance" else text)
@@ -125,5 +120,5 @@ def test_a_part_of_the_pose_calibrates_through_the_commands(tmp_path, capsys, ki
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:30", "--seed", "5", "--machine", tmp_path / "truth.json", "--out", tmp_path / "other")
     found = re.search(rf"([\d.]+) times better .* -> ([\d.]+) {unit} RMS as measured", rig("verify", tmp_path / "cal.json", tmp_path / "other"))
     assert float(found[1]) > 5 and float(found[2]) < left
-    assert f"the {kind} alone was measured" in rig("diagnose", tmp_path / "rec", "--out", tmp_path / "d", status=1)
-    assert f"the {kind} alone was measured" in rig("certify", tmp_path / "cal.json", tmp_path / "other", "--out", tmp_path / "c.json", status=1)
+    assert f"the {kind} alone was measured" in rig("diagnose", tmp_path / "rec", "--out", tmp_path / "d", ok=False)
+    assert f"the {kind} alone was measured" in rig("certify", tmp_path / "cal.json", tmp_path / "other", "--out", tmp_path / "c.json", ok=False)
