@@ -24,7 +24,7 @@ docs: .venv/.runs
 	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
 	$(BIN)/python -m docs.make.tables > docs/tables.md
 	$(BIN)/python -m rig.effects.catalogue > docs/effects.md
-	$(BIN)/python -m mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: setup
 	$(BIN)/python -m pytest -q -n auto

@@ -1,6 +1,6 @@
 """Recordings -> a calibration, a diagnosis, a certificate: what the commands and a notebook call alike."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from calib import store
 from calib.arms import certify as arm_certify
 from calib.certify import certificate
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Certified
+from calib.certify.certificate import Certified, Progress
 from calib.certify.claim import Claim
 from calib.chains import certify as chain_certify
 from calib.correct.physics import Physics
@@ -29,7 +29,6 @@ from rig.provenance import flat, marks, shared
 from rig.recording import Recording
 
 SEED = 0  # of draws; results are the same from run to run
-Progress = Callable[[str, int, int], None]
 
 
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:

@@ -13,36 +13,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from calib.arms.correction import ArmCorrection
 from calib.arms.model import names
 from calib.arms.profile import Profile
 from calib.certify.calibration import Calibration
-from calib.certify.held_out import Figures, HeldOut
 from calib.certify.claim import Claim
+from calib.certify.held_out import Figures, HeldOut
+from calib.chains import model as chains
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
+from calib.correct.interpolate.radial import Radial
 from calib.correct.physics_file import physics_in, physics_out
 from calib.correct.posed_file import map_in, map_out
 from calib.identify.geometry import parameters
-from calib.correct.interpolate.radial import Radial
 from calib.workspace.file import workspace_in, workspace_out
 from rig import json_file
-from calib.chains import model as chains
 from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.effects import BY_NAME
 from rig.effects.parse import Kinds
 from rig.entries import LARGEST_RIG, Entries
-from rig.provenance import flat, marks, shared
-from rig.kinds import Struts, struts_of
-from rig.recording import Recording
 from rig.files import write_text
-from rig.pose import vector
+from rig.kinds import Struts, struts_of
+from rig.pose import as_entry
+from rig.provenance import flat, marks, shared
+from rig.recording import Recording
 
 SCHEMA = "calibration/1"
-WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
 WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
+WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
 MOST_JOINTS = 64
 UNITS = "m, rad, s; covariances in their products"
 FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
@@ -119,7 +118,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
         "parameter_order": _order(correction),
-        "parameter_covariance": calibration.covariance.tolist(), (_scatter_key(correction.nominal)): calibration.scatter.tolist(),
+        "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
@@ -167,12 +166,12 @@ def mechanism_out(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
     if isinstance(mechanism, Chain):
         return {"kind": "chain", "stages": [mechanism_out(stage) for stage in mechanism.stages]}
     if isinstance(mechanism, Arm):
-        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": _pose_out(mechanism.base),
-                "tool": _pose_out(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
+        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": as_entry(mechanism.base),
+                "tool": as_entry(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
     if isinstance(mechanism, Planar2):
         return {"kind": "planar2", **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")}}
     return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
-            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": _pose_out(mechanism.home)}
+            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": as_entry(mechanism.home)}
 
 
 def mechanism_in(table: Entries) -> Struts | Arm | Chain:
@@ -221,11 +220,6 @@ def _order(correction: Correction[Any, Any]) -> str:
 
 def _scatter_key(nominal: Struts | Arm | Chain) -> str:
     return "pose_scatter" if isinstance(nominal, Arm | Chain) else "strut_scatter"
-
-
-def _pose_out(T: RigidTransform) -> dict[str, list[float]]:
-    position, rotvec = np.split(vector(T), 2)
-    return {"position": position.tolist(), "rotvec": rotvec.tolist()}
 
 
 def _part_out(part: Radial | Profile) -> dict[str, Any]:

@@ -34,6 +34,12 @@ def log(T: RigidTransform) -> np.ndarray:
     return np.concatenate([coords[..., 3:], coords[..., :3]], axis=-1)
 
 
+def as_entry(T: RigidTransform) -> dict[str, list[float]]:
+    """A pose as files hold it: position (m) and rotation vector (rad)."""
+    position, rotvec = np.split(vector(T), 2)
+    return {"position": position.tolist(), "rotvec": rotvec.tolist()}
+
+
 def difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     """(..., 6) position (m) and rotation vector (rad) of T_from^-1 T_to: how far apart two poses are, seen in the first.
 

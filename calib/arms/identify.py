@@ -18,7 +18,6 @@ from calib.arms.scatter import beyond
 from rig.design import Arm
 from rig.errors import NotEnoughData, RigError
 
-PARALLEL = np.radians(5)  # neighbouring axes nearer to parallel than this take beta for d
 MAX_ITERATIONS = 60
 CONVERGED = 1e-10  # m and rad; largest step
 ROUNDS = 12  # of weighing anew; one that still wavers then stays as it was
@@ -60,8 +59,7 @@ def parameters(arm: Arm, kind: str) -> np.ndarray:
         return structure.independent(arm, kind)
     n = len(arm.joints)
     free = np.ones((n, 5), bool)
-    rows = arm.rows
-    parallel = np.abs(np.cos(rows[:, 3]) * np.cos(rows[:, 4])) > np.cos(PARALLEL)
+    parallel = structure.parallel_rows(arm)
     free[:, 1], free[:, 4] = ~parallel, parallel
     free[0, :2] = False
     free[-1] = False

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.arms import model
 from calib.arms.identify import parameters
 from calib.arms.rank import PLAUSIBLE
-from calib.identify.d_optimal import exchanged
+from calib.identify.d_optimal import exchanged, summed
 from rig.configurations import low_discrepancy
 from rig.design import Arm
 from rig.errors import RigError
@@ -53,11 +53,6 @@ def choose(arm: Arm, count: int, sigmas: tuple[float, float], shown: Callable[[R
     rows = model.parameter_jacobian(q[seen], arm)[..., free] / np.repeat(sigmas, 3)[:, None] * size
     picked = exchanged(rows, np.zeros((len(size), len(size))), count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
-    sigma, plain = (size * np.sqrt(np.diag(np.linalg.inv(np.eye(len(size)) + _sum(rows[chosen])))) for chosen in (picked, even))
+    sigma, plain = (size * np.sqrt(np.diag(np.linalg.inv(np.eye(len(size)) + summed(rows, chosen)))) for chosen in (picked, even))
     names, units = (tuple(word for word, asked in zip(words(arm), free) if asked) for words in (model.names, model.units))
     return Informative(q[seen][picked], names, units, sigma, plain, float(seen.mean()))
-
-
-def _sum(rows: np.ndarray) -> np.ndarray:
-    flat = rows.reshape(-1, rows.shape[-1])
-    return flat.T @ flat

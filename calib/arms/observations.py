@@ -58,23 +58,25 @@ class Observations:
 
     def jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, 12 + 5 n) change of what is predicted with the parameters."""
-        return self._rows(model.parameter_jacobian(self.q, arm), arm)
+        return rows(self.kind, model.parameter_jacobian(self.q, arm), self.q, arm)
 
     def joint_jacobian(self, arm: Arm) -> np.ndarray:
         """(m, k, n) change of what is predicted with the joint angles."""
-        return self._rows(model.joint_jacobian(self.q, arm), arm)
+        return rows(self.kind, model.joint_jacobian(self.q, arm), self.q, arm)
 
-    def _rows(self, J: np.ndarray, arm: Arm) -> np.ndarray:
-        if self.kind == "pose":
-            return J
-        if self.kind == "orientation":
-            return J[:, 3:]
-        T = model.predicted(self.q, arm)
-        J = T.rotation.as_matrix() @ J[:, :3]
-        if self.kind == "position":
-            return J
-        u = T.translation / np.linalg.norm(T.translation, axis=-1, keepdims=True)
-        return u[:, None, :] @ J
+
+def rows(kind: str, J: np.ndarray, q: np.ndarray, arm: Arm) -> np.ndarray:
+    """(m, k, p) change of what observations of a kind see, by that of the target's pose J (m, 6, p), m and rad, at joint values q (m, n)."""
+    if kind == "pose":
+        return J
+    if kind == "orientation":
+        return J[:, 3:]
+    T = model.predicted(q, arm)
+    J = T.rotation.as_matrix() @ J[:, :3]
+    if kind == "position":
+        return J
+    u = T.translation / np.linalg.norm(T.translation, axis=-1, keepdims=True)
+    return u[:, None, :] @ J
 
 
 def of_samples(samples: Samples) -> Observations:

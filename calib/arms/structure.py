@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arms import model
+from calib.arms.observations import rows
 from rig.design import Arm
 from rig.pose import pose
 
 CONFIGURATIONS = 60
 SEED = 0
 INDEPENDENT = 1e-7  # of a column's own length, m and rad alike, that must be left of it beside those before it
-ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6), "distance": slice(0, 3)}
 PARALLEL = float(np.cos(np.radians(5)))  # neighbouring axes nearer to parallel than this take beta for d
 
 
@@ -29,13 +29,7 @@ def independent(arm: Arm, kind: str) -> np.ndarray:
     rng, (low, high) = np.random.default_rng(SEED), arm.limits.T
     arm = replace(arm, base=pose(rng.normal(size=3), rng.normal(size=3)), tool=pose(0.1 * rng.normal(size=3), rng.normal(size=3)))
     q = rng.uniform(low, high, (CONFIGURATIONS, len(low)))
-    J = model.parameter_jacobian(q, arm)[:, ROWS[kind]]
-    if kind == "distance":
-        T = model.predicted(q, arm)
-        u = T.translation / np.linalg.norm(T.translation, axis=-1, keepdims=True)
-        J = u[:, None] @ T.rotation.as_matrix() @ J
-    elif kind == "position":
-        J = model.predicted(q, arm).rotation.as_matrix() @ J
+    J = rows(kind, model.parameter_jacobian(q, arm), q, arm)
     columns = J.reshape(-1, J.shape[-1])
     free, basis = np.zeros(columns.shape[1], bool), np.zeros((len(columns), 0))
     for k in _order(arm):
@@ -48,12 +42,16 @@ def independent(arm: Arm, kind: str) -> np.ndarray:
     return free
 
 
+def parallel_rows(arm: Arm) -> np.ndarray:
+    """(n,) bool, rows whose two axes are near parallel, so that beta takes the place of d."""
+    return np.asarray(np.abs(np.cos(arm.rows[:, 3]) * np.cos(arm.rows[:, 4])) > PARALLEL)
+
+
 def _order(arm: Arm) -> list[int]:
     """Indices of the parameters, the preferred first; d of near parallel axes that turn, and beta of others, come last."""
     n = len(arm.joints)
-    rows = arm.rows
     index = 6 + np.arange(5 * n).reshape(n, 5)
-    parallel = np.abs(np.cos(rows[:, 3]) * np.cos(rows[:, 4])) > PARALLEL
+    parallel = parallel_rows(arm)
     zeros = model.zero_columns(arm)
     angles = [*index[:, 3], *index[parallel, 4]]
     lengths = [*index[:, 2], *index[~parallel, 1]]

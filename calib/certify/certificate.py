@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -68,9 +69,10 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
         if any(correction.remainder):  # nothing says whether it pays
             correction, found = calibrate(samples, nominal, "none")
         return Certified(correction, found, label, None)
-    before, plain = _held_out(samples, nominal, label, "none", found.prior, said)
+    before, plain = in_turn(samples, label, lambda some: calibrate(some, nominal, "none", found.prior)[0], "", said)
     if any(correction.remainder):
-        _, corrected = _held_out(samples, nominal, label, correction.remainder, found.prior, said)
+        like = correction.remainder
+        _, corrected = in_turn(samples, label, lambda some: calibrate(some, nominal, like, found.prior)[0], ", struts corrected", said)
         weight = precision(samples.total_covariance())
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(plain), np.nan_to_num(corrected))]
         if pays(loss[0] - loss[1]):
@@ -83,16 +85,19 @@ def silent(label: str, done: int, of: int) -> None:
     """A Progress that says nothing."""
 
 
-def _held_out(samples: Samples, nominal: Struts, label: np.ndarray, remainder: str | tuple[Radial | None, ...], prior: np.ndarray,
-              said: Progress) -> tuple[np.ndarray, np.ndarray]:
+def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Correction[Any, Any]], how: str,
+            said: Progress) -> tuple[np.ndarray, np.ndarray]:
+    """(before, after) as `errors_of`, m and rad, of whole stretches held out in turn, each by the Correction of all others.
+
+    label : (n,) configuration of each sample; correct : a Correction by some samples; how : corrected, in words, for the Progress
+    """
     fold = folds(label, min(FOLDS, label.max() + 1))
     before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
-    name = "holding configurations out" + ("" if remainder == "none" else ", struts corrected")
-    said(name, 0, fold.max() + 1)
+    name, count = f"holding configurations out{how}", int(fold.max()) + 1
+    said(name, 0, count)
     for k in np.unique(fold):
-        correction, _ = calibrate(samples.take(fold != k), nominal, remainder, prior)
-        before[fold == k], after[fold == k] = errors_of(correction, samples.take(fold == k))
-        said(name, int(k) + 1, fold.max() + 1)
+        before[fold == k], after[fold == k] = errors_of(correct(samples.take(fold != k)), samples.take(fold == k))
+        said(name, int(k) + 1, count)
     return before, after
 
 

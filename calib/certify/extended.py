@@ -200,5 +200,3 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     known = done.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
     return claimed(workspace, draws, each, told, rng)
-
-

@@ -65,12 +65,13 @@ def compare(errors_before: np.ndarray, errors_after: np.ndarray, covariance: np.
     label = np.arange(len(errors_before)) if label is None else np.unique(label, return_inverse=True)[1]
     before, after = figures(errors_before), figures(errors_after)
     count, size = label.max() + 1, np.bincount(label)
-    part = slice(3, 6) if np.isnan(errors_after[:, :3]).any() else slice(0, 3)
+    turned = bool(np.isnan(errors_after[:, :3]).any())
+    part = slice(3, 6) if turned else slice(0, 3)
     squares = [np.bincount(label, weights=(e[:, part] ** 2).sum(axis=1)) for e in (errors_before, errors_after)]
     picks = rng.integers(count, size=(DRAWS, count))
     draws = np.sqrt(squares[0][picks].sum(axis=1) / np.maximum(squares[1][picks].sum(axis=1), 1e-300))
     low, high = np.quantile(draws, [0.025, 0.975]) if count >= LEAST else (np.nan, np.nan)
-    sizes = [float(np.sqrt(one.sum() / len(label))) for one in squares] if part.start else [before.position[0], after.position[0]]
+    sizes = [(one.rotation if turned else one.position)[0] for one in (before, after)]
     ratio = (sizes[0] / max(sizes[1], 1e-300), float(low), float(high))
     return HeldOut(before, after, uncertainty(covariance), ratio, len(size))
 

@@ -113,4 +113,3 @@ def held_poses(correction: Correction, parts: Sequence[tuple[Samples, Commands, 
                      np.concatenate([samples.t for samples, *_ in each]), commanded, np.concatenate([sign for sign, _ in moves]),
                      np.concatenate([step for _, step in moves]), T, np.concatenate([errors for *_, errors in each]),
                      np.concatenate([plain for *_, plain, _ in each]), own, tuple(common), labels(commanded, ranges(correction.nominal)), moving)
-

@@ -100,5 +100,3 @@ def _within(samples: Samples, correction: Correction, asked: Pass) -> np.ndarray
     if not keep.any():
         raise NotEnoughData(f"none of {len(samples)} samples lies in the part that is asked for")
     return keep
-
-

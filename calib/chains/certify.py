@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import FOLDS, Progress, silent
+from calib.certify.certificate import Progress, in_turn, silent
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
-from calib.certify.configurations import LEAST, folds, labels, witnesses
-from calib.certify.held_out import HeldOut, compare, errors_of
+from calib.certify.configurations import LEAST, labels, witnesses
+from calib.certify.held_out import HeldOut, compare
 from calib.chains import model
 from calib.chains.identify import Identified, identify
-from calib.correct.correction import Correction
+from calib.correct.correction import Correction, closing
 from calib.samples import Samples
-from calib.workspace.region import closing
 from rig.configurations import FILL, low_discrepancy
 from rig.design import Chain
 from rig.mechanisms import chain as mechanism
@@ -44,12 +43,7 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     said("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
-    fold = folds(label, min(FOLDS, label.max() + 1))
-    before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
-    for k in np.unique(fold):
-        rest = samples.take(fold == k)
-        before[fold == k], after[fold == k] = errors_of(_corrected(nominal, identify(samples.take(fold != k), nominal)), rest)
-        said("holding configurations out", int(k) + 1, int(fold.max()) + 1)
+    before, after = in_turn(samples, label, lambda some: _corrected(nominal, identify(some, nominal)), "", said)
     return Certified(correction, found, label, compare(before, after, samples.total_covariance(), rng, label))
 
 

@@ -19,6 +19,7 @@ from rig.pose import difference
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
+TOLD = 0.25  # share of its plausible variance below which a combination is told: half of its size
 NAMED = 0.25  # share of a combination's largest part from which a parameter is named
 ALIKE = 0.05  # share of a combination that need not be the motion of a base
 MOST = 4  # parameters that a combination is told by
@@ -46,7 +47,7 @@ class Identified:
 
     chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
     told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (Untold, ..)
-    residuals : (n, 6) m and rad; scatter : (6,) beyond the instrument's own; inliers : (n,) bool
+    scatter : (6,) m and rad beyond the instrument's own; inliers : (n,) bool
     """
 
     chain: Chain
@@ -54,7 +55,6 @@ class Identified:
     covariance: np.ndarray
     told: tuple[tuple[int, int], ...]
     untold: tuple[Untold, ...]
-    residuals: np.ndarray
     scatter: np.ndarray
     inliers: np.ndarray
 
@@ -76,7 +76,7 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
     """Identified : the parameters that explain the poses, as near to the owner's as these allow.
 
     samples : Samples of the last platform; nominal : where the fit starts and where its prior holds what the poses do not tell
-    Raises NotEnoughData for fewer equations than a stage has axes, RigError where the fit does not settle
+    Raises NotEnoughData for fewer than 3 poses, RigError where the fit does not settle
     """
     sigma = model.prior(nominal)
     free = sigma > 0
@@ -102,8 +102,8 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
         scatter = again
     step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
     step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
-    return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal), left,
-                      scatter, found.inliers)
+    return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal), scatter,
+                      found.inliers)
 
 
 def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:
@@ -112,7 +112,7 @@ def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tupl
     for part in model.parts(chain):
         own = np.flatnonzero(sigma[part] > 0) + part.start
         left = np.linalg.eigvalsh(covariance[np.ix_(own, own)] / np.outer(sigma[own], sigma[own]))
-        out.append((int((left < 0.25).sum()), len(own)))
+        out.append((int((left < TOLD).sum()), len(own)))
     return tuple(out)
 
 
@@ -123,7 +123,7 @@ def _untold(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[Un
     names, out = model.names(chain), []
     stage = np.concatenate([np.full(part.stop - part.start, k + 1) for k, part in enumerate(model.parts(chain))])[free]
     for i in np.argsort(-values):
-        if values[i] <= 0.25:
+        if values[i] <= TOLD:
             break
         v = vectors[:, i] * np.sign(vectors[np.argmax(np.abs(vectors[:, i])), i])
         order = np.argsort(-np.abs(v))

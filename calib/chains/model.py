@@ -13,8 +13,8 @@ from calib.arms import model as arms
 from calib.arms.identify import parameters as independent
 from calib.arms.rank import PLAUSIBLE
 from calib.identify.geometry import NAMES, PRIOR, parameters, pose_jacobian, with_parameters
-from calib.identify.observability import gauge
-from rig.design import Arm, Chain, Hexapod
+from calib.identify.observability import struts_with_base
+from rig.design import Arm, Chain
 from rig.geometry import Stage
 from rig.mechanisms import chain as mechanism
 
@@ -22,12 +22,16 @@ from rig.mechanisms import chain as mechanism
 def names(chain: Chain) -> tuple[str, ...]:
     """Names of the parameters, in order: "stage 1 base x" .., "stage 2 base joint 1 x" .."""
     return tuple(f"stage {k + 1} {name}" for k, stage in enumerate(chain.stages)
-                 for name in (arms.names(stage) if isinstance(stage, Arm) else NAMES[stage.kind]))
+                 for name in _names(stage))
+
+
+def _names(stage: Stage) -> tuple[str, ...]:
+    return arms.names(stage) if isinstance(stage, Arm) else NAMES[stage.kind]
 
 
 def units(chain: Chain) -> tuple[str, ...]:
     """Unit of each parameter, "m" or "rad"."""
-    return tuple(unit for stage in chain.stages for unit in (arms.units(stage) if isinstance(stage, Arm) else ("m",) * len(NAMES[stage.kind])))
+    return tuple(unit for stage in chain.stages for unit in (arms.units(stage) if isinstance(stage, Arm) else ("m",) * len(_names(stage))))
 
 
 def prior(chain: Chain) -> np.ndarray:
@@ -37,13 +41,13 @@ def prior(chain: Chain) -> np.ndarray:
         if isinstance(stage, Arm):
             out.append(np.array([PLAUSIBLE[unit] for unit in arms.units(stage)]) * independent(stage, "pose"))
         else:
-            out.append(np.full(len(NAMES[stage.kind]), PRIOR))
+            out.append(np.full(len(_names(stage)), PRIOR))
     return np.concatenate(out)
 
 
 def parts(chain: Chain) -> list[slice]:
     """The slice of each stage's parameters."""
-    sizes = [len(arms.names(stage)) if isinstance(stage, Arm) else len(NAMES[stage.kind]) for stage in chain.stages]
+    sizes = [len(_names(stage)) for stage in chain.stages]
     ends = np.cumsum(sizes)
     return [slice(int(end - size), int(end)) for size, end in zip(sizes, ends)]
 
@@ -59,13 +63,7 @@ def _moved(stage: Stage, step: np.ndarray) -> Stage:
 
 def base_motions(stage: Stage) -> np.ndarray:
     """(p, 6 or 3) change of a stage's parameters with its own base frame: x y z rx ry rz, m and rad; of two struts x, y and rz alone."""
-    if isinstance(stage, Arm):
-        return np.eye(len(arms.names(stage)), 6)
-    if isinstance(stage, Hexapod):
-        return gauge(stage)[:, :6]
-    turned = stage.base_joints @ np.array([[0, 1.0], [-1, 0]])
-    moves = np.stack([np.tile([1.0, 0], (2, 1)), np.tile([0, 1.0], (2, 1)), turned], axis=-1)
-    return np.concatenate([moves.reshape(4, 3), np.zeros((2, 3))])
+    return np.eye(len(_names(stage)), 6) if isinstance(stage, Arm) else struts_with_base(stage)
 
 
 def parameter_jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:

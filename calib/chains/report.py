@@ -10,7 +10,8 @@ from calib.certify.calibration import Calibration
 from calib.certify.held_out import errors_of
 from calib.chains import model
 from calib.chains.certify import Certified
-from calib.report import before_after, coverage, origin, page, table, worth
+from calib.html_page import coverage, page, table
+from calib.report import before_after, origin, worth
 from calib.samples import Samples
 from rig.pose import vector
 from rig.recording import Recording

@@ -24,6 +24,7 @@ from calib.correct.posed import PoseMap
 from calib.samples import Samples
 from rig import mechanisms
 from rig.design import Arm, Chain, Hexapod, Planar2
+from rig.effects.covariate import DRAWN
 from rig.errors import NotConverged, Unreachable
 from rig.kinds import Struts, struts_of
 
@@ -149,20 +150,26 @@ class Correction(Generic[M, R]):
 
 def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
+    index, T = closed(commands, correction)
+    return commands[index], T
+
+
+def closed(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+    """(index (k,) of those of the commands (m, axes) m or rad that close on a pose, these poses (k,)). Raises NotConverged where none does."""
+    index = np.arange(len(commands))
     while True:
         try:
-            return commands, correction.predict(commands)
+            return index, correction.predict(commands[index])
         except NotConverged as error:
-            rest = np.delete(commands, error.index, axis=0)
-            if not len(rest):
+            index = np.delete(index, error.index)
+            if not len(index):
                 raise
-            commands = rest
 
 
 def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Sequence[str]) -> None:
     """Raise Unreachable, listing every pose whose commands (n, axes) m or rad leave the mechanism's range. labels : n texts."""
     places = mechanisms.places(mechanism)
-    shown = [(1e3, "mm") if unit == "m" else (float(np.degrees(1.0)), "degrees") for unit in mechanisms.units(mechanism)]
+    shown = [DRAWN[unit] for unit in mechanisms.units(mechanism)]
     beyond = mechanisms.of(mechanism).limits(commands, mechanism)
     bad = np.flatnonzero((beyond != 0).any(axis=1))
     if not len(bad):

@@ -23,7 +23,6 @@ from calib.samples import Samples
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
 from rig.design import Planar2
-from rig.errors import NotConverged
 from rig.kinds import Struts
 
 PLACES = 500  # at which a single step is held against the fixed point
@@ -130,11 +129,6 @@ def single_step_misses(correction: Correction[Any, Any]) -> tuple[float, float]:
 
     Source: configuration-space patent, [0030], [0091]
     """
-    commands = low_discrepancy(mechanisms.of(correction.nominal).travel(correction.nominal), PLACES, FILL)
-    try:
-        wanted = correction.predict(commands)
-    except NotConverged as error:
-        commands = np.delete(commands, error.index, axis=0)
-        wanted = correction.predict(commands)
+    _, wanted = closing(low_discrepancy(mechanisms.of(correction.nominal).travel(correction.nominal), PLACES, FILL), correction)
     off = correction.single_step(wanted) - correction.inverse(wanted)
     return float(np.sqrt((off**2).mean())), float(np.abs(off).max())

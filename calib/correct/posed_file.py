@@ -7,13 +7,12 @@ from calib.correct.interpolate import kinds
 from calib.correct.posed import NAMES, PoseMap
 from rig.entries import Entries
 from rig.kinds import Struts
-from rig.pose import vector
+from rig.pose import as_entry
 
 
 def map_out(one: PoseMap) -> dict[str, Any]:
     """dict of a PoseMap, as JSON holds it."""
-    position, rotvec = vector(one.home)[:3].tolist(), vector(one.home)[3:].tolist()
-    return {"home": {"position": position, "rotvec": rotvec}, "coordinates": [NAMES[i] for i in one.coordinates], "field": kinds.as_dict(one.field)}
+    return {"home": as_entry(one.home), "coordinates": [NAMES[i] for i in one.coordinates], "field": kinds.as_dict(one.field)}
 
 
 def map_in(table: Entries, nominal: Struts) -> PoseMap:

@@ -79,5 +79,3 @@ def _summed(visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
     a, b, *rest = visits
     return (Visit(f"{a.name.split(' .. ')[0]} .. {b.name}", a.equations + b.equations, a.square + b.square, a.count + b.count, b.log_sum,
                   a.visits + b.visits, a.quiet and b.quiet), *rest)
-
-

@@ -11,15 +11,14 @@ from calib.drift.linear import GEOMETRY, Equations
 from calib.drift.motion import OWN
 from calib.drift.reference import Reference
 from rig import json_file
-from rig.design import Camera
+from rig.design import DISTORTION_TERMS, Camera
 from rig.entries import Entries
 from rig.errors import FileError
 from rig.files import write_text
-from rig.pose import vector
+from rig.pose import as_entry
 
 SCHEMA = "watch/1"
 MOST_PLACES = 200
-LENSES = (4, 5, 8, 12, 14)
 
 
 def digest(calibration: Path) -> str:
@@ -33,7 +32,7 @@ def save(path: Path | str, history: History) -> None:
     if r is None:
         raise ValueError("expected a history with visits, got one without")
     cameras = [{"name": c.name, "width": c.width, "height": c.height, "matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(),
-                "pose": dict(zip(("position", "rotvec"), (part.tolist() for part in np.split(vector(c.pose), 2)))), "shutter": c.shutter,
+                "pose": as_entry(c.pose), "shutter": c.shutter,
                 "row_time": c.row_time} for c in r.cameras]
     visits = [{"name": v.name, "visits": v.visits, "quiet": v.quiet, "square": v.square, "count": v.count, "log_sum": v.log_sum,
                "information": v.equations.information[np.triu_indices(len(v.equations.right))].tolist(), "right": v.equations.right.tolist(),
@@ -61,8 +60,8 @@ def load(path: Path | str, calibration: str) -> History:
 
 def _camera(table: Entries) -> Camera:
     distortion = table.array("distortion", (None,))
-    if len(distortion) not in LENSES:
-        table.fail(f"{table.name('distortion')} has {len(distortion)} terms, not {', '.join(map(str, LENSES))}", "distortion")
+    if len(distortion) not in DISTORTION_TERMS:
+        table.fail(f"{table.name('distortion')} has {len(distortion)} terms, not {', '.join(map(str, DISTORTION_TERMS))}", "distortion")
     return Camera(table.identifier("name"), table.whole("width", 1), table.whole("height", 1), table.array("matrix", (3, 3)), distortion,
                   table.pose("pose"), table.text("shutter", ("global", "rolling")), table.number("row_time"))
 

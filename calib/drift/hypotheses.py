@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from calib.drift.linear import GEOMETRY
 from calib.drift.motion import GAP, GROWTH, OWN, SOFT, UNITS
 from calib.drift.reference import Reference
-from calib.drift.linear import GEOMETRY
 from vision.bundle.unknowns import POSE_SCALE
 
 SIZES = (1.0, 0.25, 0.0625)  # of the greatest plausible size, each as likely

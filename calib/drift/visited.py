@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.drift.motion import AT_ORIGIN, GAP, GROWTH, OWN, SOFT, columns, hexapod_in
 from calib.drift.linear import of_base
-from calib.identify.geometry import pose_jacobian
+from calib.drift.motion import AT_ORIGIN, GAP, OWN, UNITS, columns, hexapod_in
 from calib.identify.d_optimal import allowed
+from calib.identify.geometry import pose_jacobian
 from calib.workspace.region import lost
 from rig import plan
 from rig.design import Actuator, Design
@@ -29,18 +29,17 @@ GAINS = 1e-3  # of the logarithm of the volume, below which a pass was the last
 FAINT = 1e-3  # information in a change before any visit, per unit squared: only conditions the first poses
 ZERO = 1e-4  # m, unit of the zeros' columns
 FRAME = (1e-2, 1e-2)  # m, rad; how far the frame of measurement may move meanwhile
+BEFORE = np.diag(np.r_[np.full(14, FAINT), 1 / np.repeat(FRAME, 3) ** 2])  # (20, 20) information in changes, then the frame
 DOWN = np.array([0.0, 0.0, -9.80665])  # m/s^2, where no rig.toml says otherwise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """commands : (n, 6) m in order; sigma, even : (14,) standard errors of a visit in own units, and of as many evenly spread; sigmas : m, rad
-    of a pose."""
+    """commands : (n, 6) m in order; sigma, even : (14,) standard errors of a visit in own units, and of as many evenly spread."""
 
     commands: np.ndarray
     sigma: np.ndarray
     even: np.ndarray
-    sigmas: tuple[float, float]
 
     def told(self) -> list[tuple[str, float, float, str]]:
         """[(name, standard error, that of evenly spread poses, unit)] of what may change; of the struts the worst one."""
@@ -78,7 +77,7 @@ def choose(calibration: Calibration, design: Design | None, count: int, seed: in
             break
     if progress:
         progress(1, 1)
-    return Chosen(candidates[order], _sigma(told.information(order)), _sigma(told.information(list(range(count)))), SIGMAS)
+    return Chosen(candidates[order], _sigma(told.information(order)), _sigma(told.information(list(range(count)))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +99,7 @@ class _Told:
         """(20, 20) of the candidates visited in an order."""
         from_there = np.concatenate([self.start[None], self.candidates[order[:-1]]])
         rows = self.rows(np.array(order), from_there).reshape(-1, 20)
-        return rows.T @ rows + np.diag(np.r_[np.full(14, FAINT), 1 / np.repeat(FRAME, 3) ** 2])
+        return np.asarray(rows.T @ rows + BEFORE)
 
     def worth(self, order: list[int], k: int) -> np.ndarray:
         """(n,) logarithm of the volume in which changes are known, were each candidate the k-th of the order."""
@@ -112,14 +111,14 @@ class _Told:
         new = self.rows(every, np.broadcast_to(before, (n, 6)))
         if k + 1 < len(order):
             new = np.concatenate([new, self.rows(np.full(n, order[k + 1]), self.candidates)], axis=1)
-        M = np.swapaxes(new, 1, 2) @ new + held.T @ held + np.diag(np.r_[np.full(14, FAINT), 1 / np.repeat(FRAME, 3) ** 2])
+        M = np.swapaxes(new, 1, 2) @ new + held.T @ held + BEFORE
         whole, frame = np.linalg.slogdet(M)[1], np.linalg.slogdet(M[:, 14:, 14:])[1]
         return np.asarray(whole - frame)
 
 
 def _sigma(M: np.ndarray) -> np.ndarray:
     """(14,) standard errors in own units of information M in what changes, then the frame."""
-    own = np.array([*(ZERO,) * 6, *(GAP,) * 6, GROWTH, SOFT])
+    own = np.array([*(ZERO,) * 6, *UNITS])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(M))[:14]) * own)
 
 

@@ -42,8 +42,7 @@ def lines(verdict: Verdict, name: str, names: Sequence[str], reference: Referenc
         return [*out, f"  nothing has changed (sum of likelihood ratios {_power(verdict.log_sum)}; the alarm is at {ALARM:g}, which quiet visits "
                       f"reach once in {ALARM:g} visits or more, on average)"]
     first, named = verdict.suspects[0], verdict.named
-    since = f"since {names[first.since]}" if first.since < len(names) else ""
-    since = "since the calibration" if first.since == 0 else since
+    since = "since the calibration" if first.since == 0 else f"since {names[first.since]}"
     if named is None:
         nearest = next((one for one in verdict.suspects if one.kind != SOMETHING), None)
         out.append(f"  THE CALIBRATION NO LONGER DESCRIBES WHAT IS SEEN, {since}: something changed, we cannot say what"

@@ -64,7 +64,7 @@ def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progres
     picked: list[int] = []
     gain = _determinant if criterion == "determinant" else _noise
     for k in range(count):  # greedily first, by volume: from nothing only that has a meaning
-        M = M0 + _sum(G, picked)
+        M = M0 + summed(G, picked)
         picked.append(int(np.argmax(_determinant(M + np.eye(G.shape[2]), G)[1])))
         if progress:
             progress(k + 1, count * (1 + PASSES))
@@ -72,7 +72,7 @@ def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progres
         moved = 0
         for k in range(count):
             rest = picked[:k] + picked[k + 1 :]
-            M = M0 + _sum(G, rest) + 1e-9 * np.eye(G.shape[2])
+            M = M0 + summed(G, rest) + 1e-9 * np.eye(G.shape[2])
             now, values = gain(M, G, picked[k])
             best = int(np.argmax(values))
             if values[best] > now + PAYS * abs(now):
@@ -114,7 +114,8 @@ def allowed(commands: np.ndarray, avoided: Avoided | None) -> np.ndarray:
     return kept
 
 
-def _sum(G: np.ndarray, picked: list[int]) -> np.ndarray:
+def summed(G: np.ndarray, picked: list[int] | np.ndarray) -> np.ndarray:
+    """(p, p) information of those picked (k,) of candidates with whitened rows G (c, m, p)."""
     rows = G[picked].reshape(-1, G.shape[2])
     return rows.T @ rows
 

@@ -51,6 +51,16 @@ def gauge(mechanism: Hexapod) -> np.ndarray:
     return out
 
 
+def struts_with_base(mechanism: Struts) -> np.ndarray:
+    """(p, 6) m/m and m/rad the parameters' motions with the base frame (x y z rx ry rz); of two struts (6, 3), with x, y and rz."""
+    if isinstance(mechanism, Hexapod):
+        return gauge(mechanism)[:, :6]
+    out = np.zeros((6, 3))
+    out[0:4:2, 0] = out[1:4:2, 1] = 1.0
+    out[:4, 2] = (mechanism.base_joints @ [[0, 1.0], [-1, 0]]).ravel()
+    return out
+
+
 def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
     """A unit direction (p,) in words: up to TERMS of the patterns {name: (p,) unit} or single parameters, the largest first."""
     left, terms = direction.copy(), list[str]()
@@ -65,8 +75,7 @@ def describe(direction: np.ndarray, patterns: dict[str, np.ndarray]) -> str:
 def _patterns(mechanism: Struts) -> dict[str, np.ndarray]:
     """{name: unit direction (p,)}: plates moved and scaled as a whole, all zeros together, each strut's loop, each parameter alone."""
     found = _of_hexapod(mechanism) if isinstance(mechanism, Hexapod) else {
-        "base joints moved along x": np.r_[1, 0, 1, 0, 0, 0.0], "base joints moved along y": np.r_[0, 1, 0, 1, 0, 0.0],
-        "base joints moved about z": np.r_[(mechanism.base_joints @ [[0, 1.0], [-1, 0]]).ravel(), 0, 0],
+        **{f"base joints moved {axis}": motion for axis, motion in zip(("along x", "along y", "about z"), struts_with_base(mechanism).T)},
         "base joints spread": np.r_[(mechanism.base_joints - mechanism.base_joints.mean(axis=0)).ravel(), 0, 0],
         "both zeros": np.r_[np.zeros(4), 1, 1.0]}
     for name, unit in zip(NAMES[mechanism.kind], np.eye(len(NAMES[mechanism.kind]))):

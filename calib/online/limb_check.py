@@ -19,11 +19,10 @@ IN_A_ROW = 3  # poses of vision that agree with nothing, from which it is not vi
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """reason : in words; limb : 1..6, or None where it is none of them alone; since : number of the first check, from 0, that it concerns."""
+    """reason : in words; limb : 1..6, or None where it is none of them alone."""
 
     reason: str
     limb: int | None
-    since: int
 
 
 class LimbCheck:
@@ -54,7 +53,7 @@ class LimbCheck:
         if update.changes:
             return _named(update.changes[0])
         if self._strange >= IN_A_ROW:
-            return Disagreement(f"{self._strange} poses in a row agree with no change of one limb or of the base", None, update.dropped[0])
+            return Disagreement(f"{self._strange} poses in a row agree with no change of one limb or of the base", None)
         return None
 
 
@@ -62,7 +61,7 @@ def _named(change: Change) -> Disagreement:
     if not isinstance(change.size, float):
         position, rotation = (float(np.linalg.norm(part)) for part in (change.size[:3], change.size[3:]))
         return Disagreement(f"vision's poses are moved against the limbs' by {position * 1e6:.1f} um and {rotation * 1e6:.1f} urad: a camera, the "
-                            "base or the limbs' frame was knocked", None, change.onset)
+                            "base or the limbs' frame was knocked", None)
     how = "it slipped" if change.kind == "strut" else "its joint was knocked, the amount differs from pose to pose"
     return Disagreement(f"limb {change.strut} is longer by {change.size * 1e6:+.1f} +- {change.sigma * 1e6:.1f} um than it reads: {how}",
-                        change.strut, change.onset)
+                        change.strut)

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -111,12 +111,8 @@ def ours(path: Path) -> bool:
     try:
         load(path)
     except FileError as error:
-        _foreign(path, error)
+        raise FileError(path, f"is there and is no limbs.json ({error}); name another file") from None
     return True
-
-
-def _foreign(path: Path, error: FileError) -> NoReturn:
-    raise FileError(path, f"is there and is no limbs.json ({error}); name another file") from None
 
 
 def _hexapod(tree: Entries, key: str) -> Hexapod:

@@ -22,7 +22,6 @@ from rig.errors import NotEnoughData
 from rig.notebook import shown
 from rig.recording import Recording
 
-QUANTITIES = ("position", "rotation")
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from calib.svg import text
 from calib.two_strut.example import L1, L2, NOMINAL, REAL, Worked, driven, grid, workspace, worked
 
 WIDTH, HEIGHT = 480, 400
@@ -37,8 +38,8 @@ def _at(place: np.ndarray) -> tuple[float, float]:
     return LEFT + SCALE * float(place[0]), FLOOR - SCALE * float(place[1])
 
 
-def _text(x: float, y: float, words: str, anchor: str = "middle") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{html.escape(words)}</text>'
+def _text(x: float, y: float, words: str) -> str:
+    return text(x, y, words, "middle")
 
 
 def _path(points: np.ndarray, kind: str, closed: bool = False, at: Callable[[np.ndarray], tuple[float, float]] = _at) -> str:

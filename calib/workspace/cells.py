@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.correct.correction import Correction
+from calib.correct.extend import home_of
 from calib.workspace.region import Side, owners, side
 from rig import mechanisms
 from rig.configurations import low_discrepancy
@@ -119,10 +120,8 @@ def _room(correction: Correction[Any, Any], commands: np.ndarray) -> np.ndarray:
 
 def _at_home(correction: Correction[Any, Any], positions: np.ndarray) -> np.ndarray:
     """(n,) room of poses at positions (n, 3) m that are turned like home."""
-    kinematics = mechanisms.of(correction.nominal)
-    home = kinematics.home(correction.nominal)
-    turn = kinematics.forward(home, correction.nominal).rotation
-    T = RigidTransform.from_components(positions, turn)
+    home = mechanisms.of(correction.nominal).home(correction.nominal)
+    T = RigidTransform.from_components(positions, home_of(correction.nominal).rotation)
     return _room(correction, correction.near(T, np.broadcast_to(home, (len(positions), len(home)))))
 
 
@@ -144,6 +143,5 @@ def turned_home(correction: Correction[Any, Any]) -> str:
     """What the map's room is of, in words."""
     if isinstance(correction.nominal, Arm):
         return "the most that a pose drawn there leaves"
-    degrees = np.degrees(vector(mechanisms.of(correction.nominal).forward(mechanisms.of(correction.nominal).home(correction.nominal),
-                                                                          correction.nominal))[3:])
+    degrees = np.degrees(vector(home_of(correction.nominal))[3:])
     return "the pose in its middle, turned like home (" + " ".join(f"{angle:.3g}" for angle in degrees) + " degrees)"

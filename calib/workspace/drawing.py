@@ -9,6 +9,7 @@ import numpy as np
 from calib.svg import STYLE, svg, text
 from calib.workspace import words
 from calib.workspace.cells import Workspace
+from rig.effects.covariate import DRAWN
 
 LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
 
@@ -59,7 +60,7 @@ SINGULAR = Quantity("singular", "least over greatest singular value of the Jacob
 
 def room(unit: str) -> Quantity:
     """The Quantity of the room to the axes' limits. unit : of an axis, m or rad."""
-    scale, shown = words.ROOM.get(unit, (1.0, unit))
+    scale, shown = DRAWN.get(unit, (1.0, unit))
     return Quantity("room", f"room to the nearest limit of an axis, {shown}", "gained", _end("room", np.max), lambda value: f"{value * scale:.3g}")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.correct.correction import Correction, closing
+from calib.correct.correction import Correction, closed, closing
 from rig import mechanisms
 from rig.errors import NotConverged
 from rig.pose import difference
@@ -47,16 +47,12 @@ def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.nda
     True as well for those that close on no pose
     """
     configurations = np.asarray(configurations, float)
-    owner, out = owners(correction), np.ones(len(configurations), bool)
-    left = np.arange(len(configurations))
-    while len(left):
-        try:
-            T = owner.predict(configurations[left])
-        except NotConverged as error:
-            left = np.delete(left, error.index)
-            continue
-        out[left] = ~_reached(correction.near(T, configurations[left]), T, correction)
-        break
+    out = np.ones(len(configurations), bool)
+    try:
+        index, T = closed(configurations, owners(correction))
+    except NotConverged:
+        return out
+    out[index] = ~_reached(correction.near(T, configurations[index]), T, correction)
     return out
 
 
@@ -64,14 +60,13 @@ def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any
     """(n,) bool: whether commands (n, axes) are within the strokes and give the poses (n,), in the assembly in which the machine stands."""
     known = np.isfinite(needed).all(axis=1)
     known[known] = (mechanisms.of(machine.nominal).limits(needed[known], machine.nominal) == 0).all(axis=1)
-    left = np.flatnonzero(known)
-    while len(left):
-        try:
-            given = machine.predict(needed[left])
-        except NotConverged as error:
-            known[left[error.index]] = False
-            left = np.delete(left, error.index)
-            continue
-        known[left] = np.abs(difference(given, T[left])).max(axis=1) < SAME
-        break
-    return known
+    inside, reached = np.flatnonzero(known), np.zeros(len(needed), bool)
+    if not len(inside):
+        return reached
+    try:
+        index, given = closed(needed[inside], machine)
+    except NotConverged:
+        return reached
+    there = inside[index]
+    reached[there] = np.abs(difference(given, T[there])).max(axis=1) < SAME
+    return reached

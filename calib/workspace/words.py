@@ -3,9 +3,7 @@
 import numpy as np
 
 from calib.workspace.cells import SHORT, Workspace
-
-
-ROOM = {"m": (1e3, "mm"), "rad": (180 / np.pi, "degrees")}  # in which room to the limits is shown
+from rig.effects.covariate import DRAWN
 
 
 def lines(w: Workspace, unit: str) -> list[str]:
@@ -18,7 +16,7 @@ def lines(w: Workspace, unit: str) -> list[str]:
     out = [f"workspace: {first}", f"{known.sum()} cells of {w.size * 1e3:.3g} mm: error bound (k = 2) {_span(w.bound[known, 0] * 1e6)} um{turned}; "
            f"singular values from {np.nanmin(w.singular):.3f} of the greatest"]
     if inner.any():
-        scale, shown = ROOM.get(unit, (1.0, unit))
+        scale, shown = DRAWN.get(unit, (1.0, unit))
         out.append(f"{inner.sum()} cells have room to all limits, up to {np.nanmax(w.room) * scale:.4g} {shown}")
     return out
 

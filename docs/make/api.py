@@ -5,6 +5,8 @@ import importlib
 import inspect
 from pathlib import Path
 
+from docs.make.told import in_cell
+
 ROOT = Path(__file__).parents[2]
 ENTRIES = ("rig", "vision", "calib")
 HEAD = """# From Python
@@ -48,4 +50,4 @@ def _entry(name: str, made: object) -> str:
 def _row(path: Path) -> str:
     words = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n\n")[0]
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    return f"| `{name}` | {' '.join(words.split()).replace('|', '&#124;').replace('<', '&lt;').replace('_', chr(92) + '_')} |\n"
+    return f"| `{name}` | {in_cell(' '.join(words.split()))} |\n"

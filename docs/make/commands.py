@@ -3,13 +3,15 @@
 import argparse
 import importlib
 
+from docs.make.told import in_cell
 from rig.cli import COMMANDS
 
 HEAD = """# The commands
 
 Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its tables](tables.md), [rig.toml](rig-toml.md)); SI
 units and radians in files, millimetres and milliradians where figures are printed. A command ends with 0 (done), 1 (refused, with a reason), 2
-(wrong usage) or 130 (interrupted); [what commands write](files.md) says what they never write over.
+(wrong usage), 3 (of `rig watch`: something changed), 130 (interrupted) or 143 (ended by a signal); [what commands write](files.md) says what they
+never write over.
 """
 
 
@@ -20,7 +22,7 @@ def page() -> str:
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
         importlib.import_module(f"rig.commands.{name.replace('-', '_')}").arguments(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
-        parts.append(f"\n## rig {name}\n\n{_cell(words)}\n\n{usage}\n")
+        parts.append(f"\n## rig {name}\n\n{in_cell(words)}\n\n{usage}\n")
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]
         if rows:
             parts.append("\n| argument | what |\n|---|---|\n" + "\n".join(rows) + "\n")
@@ -37,17 +39,13 @@ class _Plain(argparse.HelpFormatter):
 def _row(action: argparse.Action) -> str:
     names = ", ".join(action.option_strings) or str(action.metavar or action.dest)
     value = "" if action.nargs == 0 or not action.option_strings else f" {_value(action)}"
-    words = (action.help or "") % {**vars(action), "prog": "rig"} if action.help else ""
-    default = f" (default {action.default})" if isinstance(action.default, str | int | float) and action.default not in ("", False, True) and (
-        "default" not in words and action.default is not argparse.SUPPRESS and f"({action.default})" not in words) else ""
-    return f"| `{names}{value}` | {_cell(words)}{_cell(default)} |".replace("| ``", "| `")
+    words = (action.help or "") % {**vars(action), "prog": "rig"}
+    stated = isinstance(action.default, str | int | float) and not isinstance(action.default, bool) and action.default not in ("", argparse.SUPPRESS)
+    default = f" (default {action.default})" if stated and "default" not in words and f"({action.default})" not in words else ""
+    return f"| `{names}{value}` | {in_cell(words)}{in_cell(default)} |".replace("| ``", "| `")
 
 
 def _value(action: argparse.Action) -> str:
     if action.metavar is not None:
         return action.metavar if isinstance(action.metavar, str) else " ".join(action.metavar)
     return "{" + ",".join(map(str, action.choices)) + "}" if action.choices is not None else action.dest.upper()
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "&#124;").replace("<", "&lt;").replace("*", "\\*").replace("_", "\\_")

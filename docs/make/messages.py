@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from docs.make.told import in_cell
 from tests.mistakes.matrix import CASES
 
 ROOT = Path(__file__).parents[2]
@@ -59,10 +60,10 @@ class Told:
 def page() -> str:
     """The page in Markdown."""
     parts = [HEAD, "\n## Mistakes that are recognised\n\n| message | what to do |\n|---|---|\n"]
-    named = sorted({told for told in mistakes() if told.do != ".."}, key=lambda told: (told.what.startswith(".."), told.what))
+    named = sorted({told for told in mistakes() if told.do != ".."}, key=lambda told: (told.what.startswith(".."), told.what, told.do))
     parts += [f"| {_cell(told.what)} | {_cell(told.do)} |\n" for told in named]
     parts.append(f"\nAmong what people did to sound recordings and what is named so (the tests do each): {'; '.join(case.name for case in CASES)}.\n")
-    said, kinds = sorted(set(messages()), key=lambda m: m.words.lstrip(". ").lower()), error_kinds()
+    said, kinds = sorted(set(messages()), key=lambda m: (m.words.lstrip(". ").lower(), m.words, m.module)), error_kinds()
     for kind, words in kinds.items():
         mine = [m for m in said if m.kind == kind]
         if mine:
@@ -131,7 +132,4 @@ def _words(node: ast.expr) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text in a cell of a table, its marks of Markdown shown as they are."""
-    for mark in "\\|*_<[]`":
-        text = text.replace(mark, {"<": "&lt;", "|": "&#124;"}.get(mark, "\\" + mark))
-    return text
+    return in_cell(text, "\\|*_<[]`")

@@ -1,4 +1,4 @@
-"""What a dataclass says of its fields: the lines "name, name : words; name : words" of its docstring."""
+"""What docstrings tell, as text of tables: of a dataclass's fields the lines "name, name : words; name : words"."""
 
 import inspect
 import re
@@ -20,6 +20,13 @@ def fields_told(kind: type) -> dict[str, str]:
 def one_line(text: str) -> str:
     """Text with its line breaks and what breaks a table taken out."""
     return " ".join(text.split()).rstrip(".;").replace("|", "\\|")
+
+
+def in_cell(text: str, marks: str = "|*_<") -> str:
+    """Text in a cell of a table, marks of Markdown shown as they are."""
+    for mark in marks:
+        text = text.replace(mark, {"<": "&lt;", "|": "&#124;"}.get(mark, "\\" + mark))
+    return text
 
 
 def headline(kind: type) -> str:

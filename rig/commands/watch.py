@@ -94,7 +94,7 @@ def _tree(verdict: Verdict, history: History, scale: float) -> dict:
 
 def _plan(arguments: Namespace) -> None:
     from calib import store
-    from calib.drift.visited import choose
+    from calib.drift.visited import SIGMAS, choose
     from rig import design_file, writing
 
     calibration = store.load(arguments.calibration)
@@ -104,7 +104,7 @@ def _plan(arguments: Namespace) -> None:
     chosen = choose(calibration, design, arguments.count, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
     writing.write_configurations(out, calibration.correction.fitted.axes, chosen.commands)
-    print(f"{arguments.count} poses; a pose measured to {chosen.sigmas[0] * 1e6:g} um and {chosen.sigmas[1] * 1e6:g} urad, one visit knows, all "
+    print(f"{arguments.count} poses; a pose measured to {SIGMAS[0] * 1e6:g} um and {SIGMAS[1] * 1e6:g} urad, one visit knows, all "
           "other changes allowed for (k=1; beside it as many poses evenly spread):")
     for name, sigma, even, unit in chosen.told():
         print(f"  {name:24} {sigma:9.3g} {even:9.3g} {unit}")

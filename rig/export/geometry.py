@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 
 from rig.design import Arm, Hexapod
-from rig.pose import vector
+from rig.pose import as_entry, vector
 
 HEXAPOD = ("strut", "base_x", "base_y", "base_z", "platform_x", "platform_y", "platform_z", "zero", "shortest", "longest")
 ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides")
@@ -13,9 +13,8 @@ ARM = ("joint", "theta", "d", "a", "alpha", "beta", "lowest", "highest", "slides
 def as_json(mechanism: Hexapod | Arm) -> str:
     """JSON of a Hexapod or an Arm."""
     if mechanism.kind == "hexapod":
-        position, rotvec = vector(mechanism.home)[:3], vector(mechanism.home)[3:]
         tree = {name: getattr(mechanism, name).tolist() for name in ("base_joints", "platform_joints", "strut_zeros", "strut_range")}
-        tree["home"] = {"position": position.tolist(), "rotvec": rotvec.tolist()}
+        tree["home"] = as_entry(mechanism.home)
     else:
         tree = {"joints": mechanism.joints.tolist(), "limits": mechanism.limits.tolist(), "slides": mechanism.slides.tolist()}
         tree |= {name: vector(getattr(mechanism, name)).tolist() for name in ("base", "tool") if hasattr(mechanism, name)}

@@ -1,4 +1,4 @@
-"""Print every benchmark but the slow ones (certificate, reach, images, watch), or those named: python -m tests.bench [way forward ...]."""
+"""Print every benchmark but those that take minutes, or those named: python -m tests.bench [way forward ...]."""
 
 import sys
 

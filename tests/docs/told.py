@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md")) + [ROOT / "README.md"]
-SKETCH = re.compile(r" \.\.|\.\. | \| |\[|RIG\.toml --calibration \.\.")  # a line that leaves something to the reader
+SKETCH = re.compile(r" \.\.|\.\. | \| |\[")  # a line that leaves something to the reader
 
 
 def commands(page: Path) -> list[str]:

@@ -22,6 +22,13 @@ def scene(design, seed, frames=12, noise=0.04, size=1.0, spoil=None):
     return from_corners(corners, np.arange(frames), design, marker_map(design)), design, secret.true, done.run.T_base_platform
 
 
+def standing(observations, rng, sigma):
+    """Observations with errors (px) added that come back in every frame wherever a base marker's corner stands still, and do not elsewhere."""
+    _, index = np.unique((observations.camera * 1000 + observations.marker) * 4 + observations.corner, return_inverse=True)
+    still = sigma * rng.normal(size=(index.max() + 1, 2))[index]
+    return replace(observations, uv=observations.uv + np.where(observations.on_platform[:, None], sigma * rng.normal(size=still.shape), still))
+
+
 def known(design, true):
     """The stated design with the cameras as they truly are."""
     return replace(design, cameras=true.cameras)

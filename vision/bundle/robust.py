@@ -111,6 +111,18 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
+def repeats(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rows (n,) of the base's corners that fixed cameras see, which of their groups each is of (n,), how many each group has (groups,)).
+
+    A group is one corner of one marker in one camera, frame after frame. inliers : (n,) bool, rows that count
+    """
+    fixed = np.array([i not in state.moving for i in range(len(state.cameras))])
+    rows = np.flatnonzero(inliers & ~observations.on_platform & fixed[observations.camera])
+    key = (observations.camera[rows] * (observations.marker.max(initial=0) + 1) + observations.marker[rows]) * 4 + observations.corner[rows]
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    return rows, index, count
+
+
 def standing_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
     """(covariances (n, 2, 2) to weigh corners by, standing error px).
 
@@ -118,11 +130,8 @@ def standing_error(observations: Observations, inliers: np.ndarray, state: State
     back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their means miss
     beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the weight of one mean.
     """
-    fixed = np.array([i not in state.moving for i in range(len(state.cameras))])
-    rows = np.flatnonzero(inliers & ~observations.on_platform & fixed[observations.camera])
+    rows, index, count = repeats(observations, inliers, state)
     covariance = observations.covariance.copy()
-    key = (observations.camera[rows] * (observations.marker.max(initial=0) + 1) + observations.marker[rows]) * 4 + observations.corner[rows]
-    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
     if not len(count) or (count > 1).sum() < STANDING_GROUPS:
         return covariance, 0.0
     residual = observations.uv[rows] - predict(observations.take(rows), state)[0]

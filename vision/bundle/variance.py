@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.bundle.adjust import Adjustment, adjust
-from vision.bundle.normal import linearise, normal_equations, reduce
+from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
 from vision.bundle.motions import offset
 from vision.bundle.printing import KINDS, NAMES, Printing
-from vision.bundle.robust import Sorted, within_gate
+from vision.bundle.robust import Sorted, repeats, standing_error, within_gate
 from vision.bundle.unknowns import unknowns
 from vision.observations import Observations, only, whitener
+from vision.predict import State
 
 MOST = 2.0  # of what is tolerated; markers farther off than that were not printed so, they were put elsewhere
 TRIAL = Printing(1.0, 1.0, 1.0, 1.0)
@@ -21,6 +22,7 @@ PROOF = 12.1  # by which twice the log likelihood has to rise: one degree of fre
 FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
+AGAIN, FALLS = 4, 0.95  # times that prints are told, and the share that each must take off the standing error for another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,38 +41,61 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
     """The Sorted of an adjustment with markers taken to be printed as the recording tells, or as it was where it tells nothing.
 
     observations : Observations of all frames; fit : Sorted of them, places of markers as stated
+    What stands still in the images may be a print or the pixel grid (see standing_error). At first all of it counts as the grid's, which errs
+    corner by corner and camera by camera: prints must show beyond that. What they then explain is taken off it, and they are told again.
     """
     a = fit.adjustment
     kept = replace(only(observations, fit.solved), covariance=fit.covariance[np.isin(observations.frame, fit.solved)])
     good = fit.inliers[np.isin(observations.frame, fit.solved)]
     if len(np.unique(kept.marker[good])) < FEWEST:
         return fit
-    printing = _printing(_told(kept.take(good), a, free))
-    if printing is None:
-        return fit
-    for _ in range(2):  # what belongs to it is sorted out once more, by a scatter that is now the corners' own
-        a = adjust(kept.take(good), replace(a.state, markers=a.stated.markers) if a.printing is None else a.state, free, stated=fit.adjustment.stated,
-                   printing=printing)
-        before, good = good, within_gate(kept, a.state)
-        if (good == before).all():
+    used, standing = np.zeros(len(good), bool), np.inf
+    for _ in range(AGAIN):
+        weights, now = standing_error(kept, good, a.state)
+        if now >= FALLS * standing and (good == used).all():
             break
-    scale = float(np.sqrt(a.cost / a.dof))
+        used, standing = good, now
+        weighed = replace(kept, covariance=weights).take(used)
+        printing = _printing(_told(weighed, fit.adjustment, free))
+        if printing is None:
+            return fit
+        a = adjust(weighed, replace(a.state, markers=a.stated.markers), free, stated=a.stated, printing=printing)
+        good = within_gate(kept, a.state)
+    cost = a.cost - (a.whitened**2).sum() + (whitener(kept.take(used))(a.residuals) ** 2).sum()  # standing errors in it, as in fit.scale
+    scale = float(np.sqrt(cost / a.dof))
     inliers = fit.inliers.copy()
-    inliers[np.isin(observations.frame, fit.solved)] = before
+    inliers[np.isin(observations.frame, fit.solved)] = used
     return Sorted(a, fit.solved, inliers, scale**2 * fit.covariance, scale * fit.scale)
 
 
+def _merged(observations: Observations, state: State) -> Observations:
+    """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree of freedom."""
+    rows, index, count = repeats(observations, np.ones(len(observations), bool), state)
+    uv, covariance, first = observations.uv.copy(), observations.covariance.copy(), rows[np.unique(index, return_index=True)[1]]
+    uv[first] = np.stack([np.bincount(index, weights=observations.uv[rows, c]) for c in range(2)], axis=1) / count[:, None]
+    covariance[first] /= count[:, None, None]
+    single = np.ones(len(observations), bool)
+    single[rows], single[first] = False, True
+    return replace(observations, uv=uv, covariance=covariance).take(single)
+
+
 def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:
-    u, estimate = unknowns(observations, a.state, a.stated, free, printing=TRIAL)
-    residual, derivatives = linearise(observations, estimate, u, whitener(observations))
+    """_Told of observations weighed as standing_error has it, linearised at an Adjustment."""
+    one = _merged(observations, a.state)
+    u, estimate = unknowns(one, a.state, a.stated, free, printing=TRIAL)
+    residual, derivatives = linearise(one, estimate, u, whitener(one))
     away = offset(estimate, a.stated, u)
-    _, reduced, right = reduce(normal_equations(observations, derivatives, residual, u, away))
+    blocks = normal_equations(one, derivatives, residual, u, away)
+    _, reduced, _ = reduce(blocks)
     covariance = u.basis @ np.linalg.inv(u.basis.T @ reduced @ u.basis) @ u.basis.T
     columns = np.concatenate([np.arange(c.start, c.stop) for c in (*u.prints.rows.values(), u.prints.together)])
     inverse = np.linalg.inv(covariance[np.ix_(columns, columns)])
     kind = [k for k, part in enumerate(KINDS) for _ in range(len(NAMES))[part]]
-    return _Told(inverse - np.eye(len(columns)), inverse @ (covariance @ right)[columns], np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]),
-                 float((residual**2).sum() + (u.prior * away**2).sum()), a.dof)
+    shared, local = step(blocks, u)
+    right = inverse @ shared[columns]
+    cost = float((residual**2).sum() + (u.prior * away**2).sum()) - promised(blocks, shared, local) + float(right @ shared[columns])
+    return _Told(inverse - np.eye(len(columns)), right, np.array(kind * len(u.prints.rows) + [len(KINDS) - 1]), cost,
+                 a.dof - 2 * (len(observations) - len(one)))
 
 
 def _printing(told: _Told) -> Printing | None:

@@ -100,12 +100,10 @@ def test_a_part_of_the_configuration_space_bounds_what_takes_part(machine):
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
     low[2] = np.median(samples.commanded[:, 2])
     done, _, count = certify_onto(samples, before, Pass("polynomial", "configuration", Part(low, high)), np.random.default_rng(0))
-    assert count == 100 and isinstance(done.correction.extension.fields[0] if isinstance(done.correction.extension, Passes)
-                                       else done.correction.extension, Within)
-    assert not done.correction.rho(samples.commanded - 0.05)[:, :].any()
+    assert count == 100 and isinstance(done.correction.extension.fields[0], Within)
+    assert not done.correction.rho(samples.commanded - 0.05).any()
     with pytest.raises(NotEnoughData, match="none of 200 samples"):
-        certify_onto(samples, before, Pass("polynomial", "configuration", Part(high - 1 if np.isfinite(high).all() else low + 9, high)),
-                     np.random.default_rng(0))
+        certify_onto(samples, before, Pass("polynomial", "configuration", Part(low + 9, high)), np.random.default_rng(0))
 
 
 def test_maps_of_both_spaces_are_kept_and_read_again(machine, tmp_path):

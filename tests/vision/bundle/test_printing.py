@@ -8,7 +8,7 @@ import pytest
 from rig.pose import difference, exp
 from rig.tolerances import PLACES, SIDES
 from tests.numeric import jacobian
-from tests.vision.scenes import nees, scene
+from tests.vision.scenes import nees, scene, standing
 from tests.vision.test_measure import joint_chi2
 from vision.bundle.motions import move, offset
 from vision.bundle.normal import linearise
@@ -84,6 +84,17 @@ def test_poses_own_up_to_how_markers_are_printed(design):
     assert np.mean(alone) < 2
     place, side = np.sqrt(np.mean(np.square(told), axis=0))
     assert place == pytest.approx(0.6, rel=0.2) and side == pytest.approx(0.5, rel=0.35)
+
+
+def test_prints_are_told_from_what_the_pixel_grid_does_to_corners_that_stand_still(design):
+    chi2, count = 0.0, 0
+    for seed in range(200, 203):
+        observations, stated, T = off_recording(design, seed)
+        m = measure(standing(observations, np.random.default_rng(seed), 0.006), stated, marker_map(stated))
+        chi2, count = chi2 + joint_chi2(m, difference(m.T_base_platform, T[m.frames])), count + len(T)
+        assert m.standing == pytest.approx(0.006, rel=0.15)
+        assert m.adjustment.printing.place == pytest.approx(0.6, rel=0.25) and not m.adjustment.printing.turn
+    assert chi2 / count == pytest.approx(6, rel=0.16)  # 432 numbers leave 7 % to chance
 
 
 def test_markers_printed_as_stated_are_taken_as_stated(design):
