@@ -116,7 +116,8 @@ def test_poses_from_outside_are_calibrated_too(worked, tmp_path):
 def test_images_go_all_the_way(tmp_path):
     run("calibrate", BENCH / "fit", "--out", tmp_path / "c.json")
     tree = json.loads(run("verify", tmp_path / "c.json", BENCH / "check", "--json").stdout)
-    assert tree["n"] == 6 and tree["ratio"]["position"] > 10
+    assert tree["n"] == 6 and tree["ratio"]["position"] > 8
+    assert tree["after"]["position"]["rms"] < tree["measurement_uncertainty"]["position"]
     assert any("images" in name for name in json.loads((tmp_path / "c.json").read_text())["provenance"]["inputs_sha256"])
 
 

@@ -1,6 +1,5 @@
 """What a recording's corners say of its user's mistakes: a few frames as stated, and where they disagree, as any mistake would have them."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -27,8 +26,8 @@ HALF = 0.5  # of the squares that a wrong size may leave: of hundreds of corners
 BIASES = (-0.5, -0.35, -0.2, 0.2, 0.35, 0.5)  # px
 BETTER = 0.35  # of the misfit that a mistake named may leave
 DONE = 0.5  # px; a mistake that leaves less explains all
-SEARCH = 8.0  # s of processor time, after which no more mistakes are tried before a measurement
-THOROUGH = 40.0  # likewise, where somebody asks for nothing else
+SEARCH = 60  # mistakes that are tried before a measurement; not seconds, of which a slow machine would try fewer
+THOROUGH = 300  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
 MENDED = 0.25  # of that, which a mistake named may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
@@ -55,14 +54,14 @@ def look(recording: Recording, corners: Corners, thorough: bool = False) -> tupl
     return in_order(found)
 
 
-def _seen(first: Trial, longest: float) -> tuple[list[Mistake], Trial]:
-    """Mistakes that explain a misfit, and the Trial that is best. longest : s of processor time to search for"""
+def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
+    """Mistakes that explain a misfit, and the Trial that is best. most : mistakes to try"""
     if first.misfit < FINE:
         return [], first
     sized, best = _sized(first)
     unexplained = "no usual mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
-        tried, through = _tried(first, longest)
+        tried, through = _tried(first, most)
         rivals = [(what, do, other) for what, do, other in tried if other.misfit < BETTER * first.misfit]
         if not through:
             unexplained = f"the search ended after {len(tried)} usual mistakes, none of which explains it, before all were tried"
@@ -117,8 +116,8 @@ def _edges(first: Trial) -> float:
     return min(trial(put(bias)).misfit for bias in BIASES)
 
 
-def _tried(first: Trial, longest: float) -> tuple[list[tuple[str, str, Trial]], bool]:
-    """((what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all; whether time sufficed for it)."""
+def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]:
+    """((what, do, Trial) of every mistake there is a name for, kind by kind, until one of a kind explains all; whether `most` sufficed for it)."""
     seen = first.seen
     stated = not any(target.body == "base" for target in seen.design.targets)
     makers: list[Maker] = [cameras.lenses]
@@ -128,13 +127,13 @@ def _tried(first: Trial, longest: float) -> tuple[list[tuple[str, str, Trial]], 
     ones = [lambda s: targets.exchanged(s, wrong), *(lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one)
                                                      for name in wrong)]
     zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
-    until, tried = time.process_time() + longest, []
+    tried: list[tuple[str, str, Trial]] = []
     for make in [*ones, *zoomed, *([targets.edges] if first.misfit > GROSS else []), *makers]:
         least = LOST
         for what, do, other in make(seen):
             tried.append((what, do, trial(other)))
             least = min(least, tried[-1][2].misfit)
-            if time.process_time() > until:
+            if len(tried) >= most:
                 return tried, False
         if least < min(DONE, 0.1 * first.misfit):
             break
