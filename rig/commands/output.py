@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rig.recording import Recording
     from vision.measure import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length", "numbers",
-           "print_comparison", "print_json", "print_unsolved", "read_recording"]
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length",
+           "numbers", "print_comparison", "print_json", "print_unsolved", "read_recording"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
