@@ -132,10 +132,8 @@ def save(path: Path | str, calibration: Calibration) -> None:
 
 
 def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
-    """Calibration of a calibration.json. kinds : effects that there are
-
-    Raises FileError for a file that is missing, cut off, of another schema, or that holds an array
-    of another shape or a number that cannot be."""
+    """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file that is missing, cut off,
+    of another schema, or that holds an array of another shape or a number that cannot be."""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):

@@ -135,7 +135,7 @@ def test_a_model_may_look_at_where_the_platform_is_and_which_way_it_came(design)
     home, T = design.mechanism.home, motion.posed()
     np.testing.assert_allclose(motion.displaced[:, :3], T.translation - home.translation, atol=1e-9)
     np.testing.assert_allclose(motion.displaced[:, 3:], (T.rotation * home.rotation.inv()).as_rotvec(), atol=1e-9)
-    assert not replace(motion, T=home[None]).displaced.round(9).any()
+    assert not replace(motion, T=type(home).concatenate([home])).displaced.round(9).any()
     steps = np.diff(motion.path.lengths, axis=0)
     for i, at in ((0, motion.path.at[-1]), (3, motion.path.at[20])):
         own = steps[:at, i]
