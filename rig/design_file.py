@@ -34,7 +34,11 @@ def load(path: str | Path) -> Design:
 def entries(path: str | Path) -> Entries:
     """The whole table that a rig.toml holds, its figures not yet looked at. Raises FileError where it cannot be read or is no TOML."""
     path = Path(path)
-    text = read_text(path, LARGEST, "no such file; every recording has a rig.toml")
+    return entries_of(read_text(path, LARGEST, "no such file; every recording has a rig.toml"), path)
+
+
+def entries_of(text: str, path: Path) -> Entries:
+    """The whole table of a rig.toml's text. path : of the file, as complaints name it. Raises FileError where it is no TOML."""
     try:
         tree = tomllib.loads(text)
         places = positions(text)
@@ -241,12 +245,14 @@ def with_cameras(text: str, cameras: Iterable[Camera]) -> str:
     return tomlkit.dumps(document)
 
 
-def camera_block(camera: Camera) -> str:
-    """Text of a [[camera]] table as rig.toml takes it, its pose as a place to fill in."""
+def camera_block(camera: Camera, placed: bool = False) -> str:
+    """Text of a [[camera]] table as rig.toml takes it. placed : whether its pose is known; else it is a place to fill in"""
+    place = np.round(vector(camera.pose), 10) if placed else np.zeros(6)
+    remark = "" if placed else "   # camera in base: put in where it stands"
     matrix, distortion = np.round(camera.matrix, 6).tolist(), np.round(camera.distortion, 9).tolist()
     return (f'[[camera]]\nname = "{camera.name}"\nwidth = {camera.width}\nheight = {camera.height}\nmatrix = {matrix}\n'
             f"distortion = {distortion}\n"
-            "pose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }   # camera in base: put in where it stands\n"
+            f"pose = {{ position = {place[:3].tolist()}, rotvec = {place[3:].tolist()} }}{remark}\n"
             'shutter = "global"\n')
 
 

@@ -15,15 +15,17 @@ if TYPE_CHECKING:
     from rig.kinds import Mechanism
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
+CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
-    parser.add_argument("--format", choices=(*FORMATS, *TABLES), required=True, help="genhexkins: HAL settings of LinuxCNC; "
+    parser.add_argument("--format", choices=(*FORMATS, *TABLES, *CAMERAS), required=True, help="genhexkins: HAL settings of LinuxCNC; "
                         "urdf: of an arm; linuxcnc-comp: what goes on top of genhexkins, a file for each joint in the folder OUT; "
-                        "grid: a CSV of what is to be added to the owner's model")
+                        "grid: a CSV of what is to be added to the owner's model; camera-info, opencv: lenses of a rig.toml, a YAML file for each "
+                        "camera in the folder OUT")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
@@ -40,6 +42,9 @@ def run(arguments: Namespace) -> None:
 
     if arguments.format in TABLES:
         _tables(arguments)
+        return
+    if arguments.format in CAMERAS:
+        _cameras(arguments)
         return
     from rig.export import genhexkins, geometry, urdf
     from rig.files import write_text
@@ -101,6 +106,24 @@ def _tables(arguments: Namespace) -> None:
         write_text(folder / f"joint_{i}.comp", compensation.linuxcnc(levels + correction.fitted.strut_zeros[i], trims, arguments.units))
     print(f"COMP_FILE_TYPE = 0, units {arguments.units}, on top of genhexkins with the calibration's geometry; a table for each joint alone leaves "
           f"{np.sqrt((found.left**2).mean()) * 1e6:.3f} um RMS of the correction; written: {arguments.out}")
+
+
+def _cameras(arguments: Namespace) -> None:
+    """Write the lenses of a rig.toml, a file for each camera."""
+    from rig import design_file
+    from rig.export import cameras
+    from rig.files import write_text
+
+    if arguments.machine.suffix != ".toml" or arguments.out is None:
+        raise RigError(f"{arguments.format} takes a rig.toml, as `rig measure` writes it too, and --out DIR")
+    found = design_file.load(arguments.machine).cameras
+    if not found:
+        raise RigError(f"{arguments.machine} has no cameras")
+    texts = {camera.name: (cameras.camera_info if arguments.format == "camera-info" else cameras.opencv)(camera) for camera in found}
+    folder = arguments.outputs.folder(arguments.out)
+    for name, text in texts.items():
+        write_text(folder / f"{name}.yaml", text)
+    print(f"written: {arguments.out}: {', '.join(f'{name}.yaml' for name in texts)}")
 
 
 def _machine(path: Path) -> tuple[Mechanism, list[int], float | None]:

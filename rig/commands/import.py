@@ -1,4 +1,4 @@
-"""rig import IMAGES --rig rig.toml --commands X.csv --out REC, or rig import --recipe FILE --out REC."""
+"""rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE --out REC."""
 
 import argparse
 from pathlib import Path
@@ -21,6 +21,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="rig.toml", type=Path, help="the rig as you believe it")
     for name, text in TABLES.items():
         parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
+    parser.add_argument("--cameras", metavar="FILE", type=Path, nargs="+", help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
+                        "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml")
     parser.add_argument("--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help="state what files do not, as "
                         "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
     parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
@@ -35,14 +37,17 @@ def run(arguments: argparse.Namespace) -> None:
     from rig.mistakes.early import early
 
     given = {name: getattr(arguments, name) for name in TABLES}
-    if arguments.recipe is not None and (arguments.images or arguments.rig or any(given.values())):
+    if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or any(given.values())):
         raise RigError("--recipe names all files itself; --set changes what it says")
     if arguments.recipe is None and arguments.rig is None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (importing.load(arguments.recipe, settings) if arguments.recipe is not None
-              else importing.stated(arguments.rig, arguments.images, given, settings))
+              else importing.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or ()))
     arguments.outputs.inputs += _read(recipe)
+    if recipe.cameras is not None and arguments.out.suffix == ".toml":
+        _rig(arguments, recipe)
+        return
     out = arguments.outputs.folder(arguments.out)
     imported = importing.assemble(recipe)
     importing.write(imported, out)
@@ -60,7 +65,23 @@ def run(arguments: argparse.Namespace) -> None:
 def _read(recipe: "Recipe") -> list[Path]:
     """The files and folders that a recipe reads, which are never written over."""
     tables = [getattr(recipe, name) for name in TABLES]
-    return [recipe.rig, *(recipe.images.folders if recipe.images else ()), *(table.file for table in tables if table is not None)]
+    seen = *(recipe.images.folders if recipe.images else ()), *(recipe.cameras.files if recipe.cameras else ())
+    return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
+
+
+def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
+    """Write a rig.toml with the cameras of another program. Raises RigError where more than cameras is to be imported."""
+    from rig import importing
+    from rig.files import write_text
+
+    if recipe.images or any(getattr(recipe, name) for name in TABLES):
+        raise RigError(f"--out {arguments.out} is a rig.toml, which takes cameras alone; images and tables make a folder, --out REC")
+    out = arguments.outputs.file(arguments.out)
+    design, text, said = importing.with_cameras(recipe)
+    write_text(out, text or "")
+    print(f"imported: {len(design.cameras)} cameras")
+    _say_assumed(said)
+    print(f"written: {arguments.out}")
 
 
 def _loaded(folder: Path, place: Path) -> "Recording":
@@ -86,7 +107,11 @@ def _say(imported: "Imported") -> None:
     if e.t:
         parts[-1] += f", over {float(max(e.t) - min(e.t)):.6g} s"
     print(f"imported: {', '.join(parts)}")
-    if imported.said:
-        print("assumed, as nothing says otherwise:" if len(imported.said) > 1 else "assumed:")
-    for line in imported.said:
+    _say_assumed(imported.said)
+
+
+def _say_assumed(said: tuple[str, ...]) -> None:
+    if said:
+        print("assumed, as nothing says otherwise:" if len(said) > 1 else "assumed:")
+    for line in said:
         print(f"  {line}")

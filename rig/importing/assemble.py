@@ -14,6 +14,7 @@ from rig.errors import RigError
 from rig.files import write_bytes
 from rig.images import check_image
 from rig.importing import columns, frames, times, units
+from rig.importing.calibrations import onto
 from rig.importing.commands import Commanded, commands
 from rig.importing.dialect import read
 from rig.importing.frames import Exposed
@@ -22,7 +23,7 @@ from rig.importing.recipe import Recipe, ForeignTable
 from rig.importing.sensors import Logged, sensors
 from rig.observed import Poses
 from rig.origin import DIGITS
-from rig.outside import read_bytes
+from rig.outside import read_bytes, read_text
 from rig.recording import LAST_DWELL
 from rig.writing import write_poses, write_table
 
@@ -44,11 +45,21 @@ class Imported:
     logged: Logged | None
     recipe: Recipe
     said: tuple[str, ...]
+    rig: str | None = None  # rig.toml with the cameras of another program; None: as its owner has it
+
+
+def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
+    """(Design, text of its rig.toml where cameras of another program came into it, sentences). Raises RigError for what cannot be used."""
+    design = design_file.load(recipe.rig)
+    if recipe.cameras is None:
+        return design, None, ()
+    text, said = onto(recipe.cameras, read_text(recipe.rig, design_file.LARGEST), design.cameras)
+    return design_file.design_of(design_file.entries_of(text, recipe.rig)), text, said
 
 
 def assemble(recipe: Recipe) -> Imported:
     """Imported of a Recipe. Raises RigError for what cannot be used, for what is missing and for what reads well in two ways."""
-    design = design_file.load(recipe.rig)
+    design, rig, of_cameras = with_cameras(recipe)
     if recipe.images is None and recipe.poses is None:
         raise RigError("there is nothing that was seen: give folders of images, or --poses FILE.csv")
     commanded = commands(recipe.commands, design) if recipe.commands else None
@@ -68,8 +79,8 @@ def assemble(recipe: Recipe) -> Imported:
     _together(exposed, commanded)
     recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
                      poses=posed.table if posed else None, sensors=logged.table if logged else None)
-    said = tuple(dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
-    return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said)
+    said = (*of_cameras, *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
+    return Imported(design, exposed, commanded, posed, logged, replace(recipe, said=said), said, rig)
 
 
 def _like(others: list[Decimal] | None) -> Like:
@@ -221,7 +232,7 @@ def _together(exposed: Exposed, commanded: Commanded | None) -> None:
 def write(imported: Imported, out: Path) -> None:
     """Write the recording into a folder. out : empty"""
     e = imported.exposed
-    write_bytes(out / "rig.toml", read_bytes(imported.recipe.rig))
+    write_bytes(out / "rig.toml", read_bytes(imported.recipe.rig) if imported.rig is None else imported.rig.encode())
     rows = []
     for frame, t, camera, path in zip(e.frame, e.times(), e.camera, e.path):
         name = f"images/{camera}/{frame:05d}{path.suffix.lower()}" if camera else ""

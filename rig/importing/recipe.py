@@ -2,6 +2,7 @@
 
 import os
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,15 @@ class Images:
 
 
 @dataclass(frozen=True, slots=True)
+class Cameras:
+    """Cameras of another program. names : pairs (theirs, ours); at : six figures, x y z rx ry rz (m, rad) of the first in the base frame, or None."""
+
+    files: tuple[Path, ...]
+    names: tuple[tuple[str, str], ...] = ()
+    at: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Recipe:
     """All that is imported, and what is stated about it."""
 
@@ -68,6 +78,7 @@ class Recipe:
     poses: ForeignTable | None = None
     sensors: ForeignTable | None = None
     frames: ForeignTable | None = None
+    cameras: Cameras | None = None
     said: tuple[str, ...] = field(default=(), compare=False)
 
 
@@ -85,11 +96,13 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     return _recipe(root, path.parent)
 
 
-def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...]) -> Recipe:
-    """Recipe of what a command line states. tables : {one of TABLES: file or None}. Raises RigError."""
+def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...], cameras: Sequence[Path] = ()) -> Recipe:
+    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras : files of them. Raises RigError."""
     tree: dict = {} if rig is None else {"rig": str(rig)}
     if folders:
         tree["images"] = {"folders": [str(folder) for folder in folders]}
+    if cameras:
+        tree["cameras"] = {"files": [str(path) for path in cameras]}
     tree |= {name: {"file": str(path)} for name, path in tables.items() if path is not None}
     _set(tree, settings)
     return _recipe(Entries(tree, (), Path("--set"), {(): (None, None)}), Path())
@@ -115,11 +128,13 @@ def _set(tree: dict, settings: tuple[str, ...]) -> None:
 
 
 def _recipe(root: Entries, folder: Path) -> Recipe:
-    root.refuse_misspelt(("schema", "rig", "images", "said", *TABLES))
+    known = ("rig", "images", "cameras", *TABLES)
+    root.refuse_misspelt(("schema", "said", *known))
     for key in root.tree:
-        if key not in ("schema", "rig", "images", "said", *TABLES):
-            root.fail(f"unknown key {shown(key)}; there are rig, images, {', '.join(TABLES)}", key)
+        if key not in ("schema", "said", *known):
+            root.fail(f"unknown key {shown(key)}; there are {', '.join(known)}", key)
     stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder) for name in TABLES if name in root.tree}
+    stated["cameras"] = _cameras(root.table("cameras"), folder) if "cameras" in root.tree else None
     return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None, **stated)
 
 
@@ -141,6 +156,13 @@ def _images(e: Entries, folder: Path) -> Images:
     return Images(tuple(folder / name for name in e.texts("folders")), e.text("names", default=None), e.text("time_unit", TIMES, None),
                   e.text("zone", default=None), e.number("shift", 0.0), e.number("tolerance", None, least=0.0, most=3600.0, unit="s"),
                   _pairs(e, "cameras"))
+
+
+def _cameras(e: Entries, folder: Path) -> Cameras:
+    _known(e, Cameras)
+    if "files" not in e.tree:
+        e.fail(f"{e.name('files')} is missing: settings of cameras that are not imported")
+    return Cameras(tuple(folder / name for name in e.texts("files")), _pairs(e, "names"), e.text("at", default=None))
 
 
 def _foreign_table(e: Entries, folder: Path) -> ForeignTable:
@@ -167,15 +189,15 @@ def text(recipe: Recipe, folder: Path) -> str:
         document.add(tomlkit.comment(" ".join(line.split())))
     document.add("schema", SCHEMA)
     document.add("rig", path(recipe.rig))
-    for name in ("images", *TABLES):
+    for name in ("images", "cameras", *TABLES):
         section = getattr(recipe, name)
         if section is None:
             continue
         table = tomlkit.table()
         for part in fields(section):
             value = getattr(section, part.name)
-            if part.name == "folders":
-                table.add("folders", [path(one) for one in value])
+            if part.name in ("folders", "files"):
+                table.add(part.name, [path(one) for one in value])
             elif part.name == "file":
                 table.add("file", path(value))
             elif isinstance(value, tuple):
