@@ -66,18 +66,21 @@ def test_a_large_bias_of_edges_leaves_noise_alone_to_the_finder(tmp_path, design
     assert 3 * 40**2 < strained @ strained < 3 * 60**2  # what is known of finders says that this is none
 
 
+@pytest.mark.slow
 def test_a_step_soon_after_the_start_is_found(tmp_path, design):
     rec = recorded(tmp_path, design, ["missed_steps:strut4:jump=6e-5,time=70"], route=PLAN)
     found = diagnose(rec, only=["missed_steps", "warm_up", "creep"])
     assert [(e.name, e.place) for e in found.effects] == [("missed_steps", "strut 4")]
 
 
+@pytest.mark.slow
 def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, design):
     rec = recorded(tmp_path, design, [out_of_catalogue.SlippingClutch("strut 5", 1.2e-4)], route=PLAN)
     found = diagnose(rec, only=["warm_up", "missed_steps", "creep", "scale_error"])
     assert not found.effects and found.left[0].place == "strut 5"
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives(tmp_path, design):
     rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
     found = diagnose(rec, only=["warm_up", "base_expansion"])
@@ -87,7 +90,7 @@ def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives
 
 @pytest.mark.parametrize(("text", "alike"), [
     ("thermal_expansion:strut4:coefficient=6e-5", "warm_up"),
-    ("focal_drift:camera cam1:per_kelvin=1.5e-4", "camera_drift"),
+    pytest.param("focal_drift:camera cam1:per_kelvin=1.5e-4", "camera_drift", marks=pytest.mark.slow),
 ])
 def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alike):
     name, place, _ = text.split(":")

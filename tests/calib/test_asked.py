@@ -22,6 +22,7 @@ def test_places_are_asked_for_and_left_out():
         Asked(("backlash strut 9",)).check({"backlash": ("strut 1", "strut 2")})
 
 
+@pytest.mark.slow
 def test_an_exchange_of_faces_is_asked_for_at_its_marker_alone(tmp_path, design):
     rec = recorded(tmp_path, design, ["marker_swap:8:other=6,turn=1"], route="sobol:30")
     found = {only: [(f.effect, f.place) for f in report(diagnose(rec, only=[only])).findings if f.effect == "marker_swap"]

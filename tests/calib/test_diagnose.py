@@ -77,7 +77,7 @@ def test_davies_bound_honours_the_search():
 
 @pytest.mark.parametrize(("text", "name", "parameter", "value"), [
     ("backlash:strut5:gap=6e-5", "backlash strut 5", "gap", 6e-5),
-    ("missed_steps:strut2:jump=8e-5,time=300", "missed_steps strut 2", "jump", 8e-5),
+    pytest.param("missed_steps:strut2:jump=8e-5,time=300", "missed_steps strut 2", "jump", 8e-5, marks=pytest.mark.slow),
     ("edge_bias:cameras:bias=0.2", "edge_bias cameras", "bias", 0.2),
 ])
 def test_what_is_hidden_is_found(tmp_path, design, text, name, parameter, value):
