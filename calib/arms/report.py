@@ -1,38 +1,41 @@
 """The page of an arm's calibration: before and after on held-out poses, joint profiles, coverage, parameters, rank."""
 
-import html
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calib.arms import model
 from calib.arms.certify import Certified
 from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures
 from calib.certify.held_out import errors_of
-from calib.html_page import coverage, page, table
-from calib.report import before_after, origin, worth
+from calib.pose_figures import before_after, coverage
+from calib.report import judged, origin, rests_on, to_do
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms
 from rig.effects.covariate import DRAWN
+from rig.page.document import Link, Page, write
+from rig.page.figure import Series, panel, panels
+from rig.page.parts import folded, heading, note, paragraph, table
 from rig.recording import Recording
 
 
-def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified) -> None:
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
+                     links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
-    parts: list[str | Figure]
-    parts = [*worth(calibration.claim), *_held(done),
-             "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
+    went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
+    parts = [*rests_on(calibration.claim), *_held(done),
+             heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
              before_after(*errors_of(calibration.correction, samples), samples.frame),
-             "<h2>What each joint is corrected by</h2><p class=note>Beyond its offset, along the configurations visited.</p>",
-             _profiles(calibration, samples), "<h2>Where the target went</h2>", coverage(np.concatenate(
-                 [samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)),
-             *section(calibration.workspace, "rad"),
-             "<h2>Parameters</h2>", "".join(f"<p>{html.escape(line)}.</p>" for line in done.found.rank.report()), _parameters(calibration),
-             "<h2>Where this came from</h2>", origin(calibration)]
-    page(path, f"Calibration from {recording.name}", parts)
+             heading("What each joint is corrected by"), note("Beyond its offset, along the configurations visited."),
+             _profiles(calibration, samples), heading("Where the target went"), coverage(went), *section(calibration.workspace, "rad"),
+             heading("Parameters"), *(paragraph(f"{line}.") for line in done.found.rank.report()),
+             folded("Every parameter's change", _parameters(calibration)),
+             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
+                     to_do(calibration.claim), links))
 
 
 def _held(done: Certified) -> list[str]:
@@ -44,9 +47,9 @@ def _held(done: Certified) -> list[str]:
     k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
     rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
                                                 ("corrected, random rows", done.scattered.after))]
-    return [f"<p>Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct configurations): the "
-            f"mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. The measured poses themselves "
-            f"are uncertain by {floor}. Rows drawn at random flatter: their neighbours in time were fitted.</p>",
+    return [paragraph(f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct "
+                      f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. "
+                      f"The measured poses themselves are uncertain by {floor}. Rows drawn at random flatter: their neighbours in time were fitted."),
             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
 
 
@@ -54,18 +57,11 @@ def _figures(f: Figures) -> list[str]:
     return [f"{value * 1e3:.4f}" if value == value else "-" for value in (f.mean[0], *f.position, f.mean[1], *f.rotation)]
 
 
-def _profiles(calibration: Calibration, samples: Samples) -> Figure:
-    q = samples.commanded
-    rho = calibration.correction.rho(q)
-    count, nominal = q.shape[1], calibration.correction.nominal
-    places, units = mechanisms.places(nominal), mechanisms.units(nominal)
-    figure = Figure(figsize=(11, 2.4 * -(-count // 3)), layout="constrained")
-    for i in range(count):
-        axes = figure.add_subplot(-(-count // 3), 3, i + 1)
-        scale, unit = DRAWN[units[i]]
-        axes.plot(q[:, i] * scale, rho[:, i] * 1e3, ".", ms=2)
-        axes.set(title=places[i], xlabel=f"commanded, {unit}", ylabel=f"correction, m{units[i]}")
-    return figure
+def _profiles(calibration: Calibration, samples: Samples) -> str:
+    q, nominal = samples.commanded, calibration.correction.nominal
+    rho, places, units = calibration.correction.rho(q), mechanisms.places(nominal), mechanisms.units(nominal)
+    return panels(*(panel(places[i], (f"commanded, {DRAWN[unit][1]}", f"correction, m{unit}"), [Series(q[:, i] * DRAWN[unit][0], rho[:, i] * 1e3)])
+                    for i, unit in enumerate(units)))
 
 
 def _parameters(calibration: Calibration) -> str:

@@ -1,30 +1,33 @@
 """The page of a chain's calibration: what it is worth, before and after, stage by stage, and what cannot be told apart."""
 
-import html
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calib.certify.calibration import Calibration
 from calib.certify.held_out import errors_of
 from calib.chains import model
 from calib.chains.certify import Certified
-from calib.html_page import coverage, page, table
-from calib.report import before_after, origin, worth
+from calib.pose_figures import before_after, coverage
+from calib.report import judged, origin, rests_on, to_do
 from calib.samples import Samples
+from rig.page.document import Link, Page, write
+from rig.page.parts import folded, heading, note, paragraph, table
 from rig.pose import vector
 from rig.recording import Recording
 
 
-def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified) -> None:
+def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
+                     links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
-    told = "".join(f"<p>{html.escape(line)}</p>" for line in done.found.report())
-    parts: list[str | Figure]
-    parts = [*worth(calibration.claim), "<h2>Before and after, pose by pose</h2><p class=note>All poses; the fit has seen these.</p>",
-             before_after(*errors_of(calibration.correction, samples), samples.frame), "<h2>Stage by stage</h2>", told, _parameters(done),
-             "<h2>Where the last platform went</h2>", coverage(vector(samples.T_base_platform)), "<h2>Where this came from</h2>", origin(calibration)]
-    page(path, f"Calibration from {recording.name}", parts)
+    parts = [*rests_on(calibration.claim), heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
+             before_after(*errors_of(calibration.correction, samples), samples.frame), heading("Stage by stage"),
+             *(paragraph(line) for line in done.found.report()), _parameters(done),
+             heading("Where the last platform went"), coverage(vector(samples.T_base_platform)),
+             heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
+                     to_do(calibration.claim), links))
 
 
 def _parameters(done: Certified) -> str:
@@ -32,4 +35,4 @@ def _parameters(done: Certified) -> str:
     sigma = np.sqrt(np.diag(found.covariance))
     rows = [(name, f"{1e3 * step:+.4f}", f"{2e3 * s:.4f}", "mm" if unit == "m" else "mrad")
             for name, unit, step, s in zip(model.names(nominal), model.units(nominal), found.step, sigma) if s > 0]
-    return ("<details><summary>Every parameter</summary>" + table(("change from nominal", "", "± (k = 2)", ""), rows) + "</details>")
+    return folded("Every parameter", table(("change from nominal", "", "± (k = 2)", ""), rows))

@@ -1,39 +1,55 @@
 """A certificate as a page: what is promised and on whose scale, then on what it rests."""
 
-import html
+from collections.abc import Sequence
 from pathlib import Path
 
+from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.repeats import FEWEST
-from calib.html_page import page, table
 from calib.report import flat
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
-from calib.svg import STYLE
+from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.parts import folded, heading, note, paragraph, table
 
 NOT_KNOWN = "not known"
 
 
-def certificate_page(path: Path, c: Certificate) -> None:
+def certificate_page(path: Path, c: Certificate, links: Sequence[Link] = ()) -> None:
     """Write the page of a certificate: one file, offline."""
-    page(path, f"Certificate of {c.machine} {c.provenance['id']}", [f"<style>{STYLE}</style>", *_promise(c), *_judged(c), *_cells(c), *_floor(c),
-                                                                  *_standards(c), *_budget(c), *_conditions(c), *_origin(c)])
+    parts = [*_promise(c), *_against(c), *_cells(c), *_floor(c), *_standards(c), *_budget(c), *_conditions(c), *_origin(c)]
+    write(path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", judged(c), parts, to_do(c), links))
 
 
-def _paragraph(line: str) -> str:
-    return f"<p>{html.escape(line)}</p>"
+def judged(c: Certificate) -> Verdict:
+    """The verdict of a certificate: against its tolerances, where it was asked for any; what it promises, where not."""
+    promise = words.promise_line(c).removesuffix(".")
+    if not c.conformity:
+        return Verdict(State.GOOD if c.asked.scale is not None else State.CHECK,
+                       promise + ("" if c.asked.scale is not None else "; in lengths whose scale nobody certified"))
+    lines = "; ".join(line.removesuffix(".") for line in words.conformity_lines(c))
+    verdicts = {k.verdict for k in c.conformity}
+    return Verdict(State.BAD if FAILS in verdicts else State.GOOD if verdicts == {CONFORMS} else State.CHECK, lines)
+
+
+def to_do(c: Certificate) -> list[str]:
+    """What an owner does next with a certificate."""
+    certify = "Have the base targets' scale certified and say so: `--scale-uncertainty 20e-6 --scale-source TEXT`"
+    steps = [] if c.asked.scale is not None else [certify]
+    if c.repeatability.position is None:
+        steps.append("Visit some configurations twice, `--plan sobol:40,repeat:20`: then the floor, repeatability, is known")
+    return [*steps, "Look again now and then whether it still holds: `rig watch calibration.json VISIT`"]
 
 
 def _promise(c: Certificate) -> list[str]:
-    first, second = words.scale_line(c), words.promise_line(c)
-    return [_paragraph(first), f"<p style='font-size:1.15em'><b>{html.escape(second)}</b></p>", _paragraph(words.volume_line(c)),
-            *map(_paragraph, words.rest_lines(c)), svg.distribution(c)]
+    lines = (words.scale_line(c), words.promise_line(c), words.volume_line(c), *words.rest_lines(c))
+    return [*map(paragraph, lines), svg.distribution(c)]
 
 
-def _judged(c: Certificate) -> list[str]:
+def _against(c: Certificate) -> list[str]:
     if not c.conformity:
         return []
-    return ["<h2>Against the tolerance</h2>", *(f"<p><b>{html.escape(line)}</b></p>" for line in words.conformity_lines(c)),
-            "<p class=note>A decision takes limits of 97.5 % confidence (guard bands, JCGM 106): either is wrong in 2.5 % of cases at the most.</p>"]
+    return [heading("Against the tolerance"), *map(paragraph, words.conformity_lines(c)),
+            note("A decision takes limits of 97.5 % confidence (guard bands, JCGM 106): either is wrong in 2.5 % of cases at the most.")]
 
 
 def _cells(c: Certificate) -> list[str]:
@@ -41,7 +57,7 @@ def _cells(c: Certificate) -> list[str]:
         return []
     rows = [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
              "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells]
-    return ["<h2>Part by part</h2><p class=note>The same promise for boxes of the volume, each by its own poses.</p>", svg.cells(c),
+    return [heading("Part by part"), note("The same promise for boxes of the volume, each by its own poses."), svg.cells(c),
             table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows)]
 
 
@@ -49,21 +65,21 @@ def _floor(c: Certificate) -> list[str]:
     rows = [(name, f"{f.position[0] * 1e6:.1f}", f"{f.position[1] * 1e6:.1f}", f"{f.position[2] * 1e6:.1f}",
              *(f"{value * 1e6:.1f}" if value == value else "" for value in f.rotation)) for name, f in
             (("owner's model", c.before), ("calibrated", c.after))]
-    return ["<h2>Before and after</h2>", _paragraph(f"The same {c.after.n} held-out poses, as measured."),
+    return [heading("Before and after"), paragraph(f"The same {c.after.n} held-out poses, as measured."),
             table(("", "RMS, um", "95 %, um", "max, um", "RMS, urad", "95 %, urad", "max, urad"), rows)]
 
 
 def _standards(c: Certificate) -> list[str]:
-    parts = ["<h2>ISO 9283: pose accuracy AP and repeatability RP</h2>", _paragraph(words.iso9283_line(c))]
+    parts = [heading("ISO 9283: pose accuracy AP and repeatability RP"), paragraph(words.iso9283_line(c))]
     if c.iso9283.repeated:
         rows = [(" ".join(f"{value * 1e3:.1f}" for value in row.place), row.visits, row.approaches, f"{row.AP * 1e6:.1f}", f"{row.RP * 1e6:.1f}",
                  *("" if part is None else " ".join(f"{value * 1e6:.1f}" for value in part) for part in (row.AP_axes, row.RP_axes)))
                 for row in c.iso9283.repeated]
         parts.append(table(("pose at, mm", "visits", "approaches", "AP, um", "RP, um", "AP about x y z, urad", "RP about x y z, urad"), rows))
-        parts.append(f"<p class=note>Poses visited {FEWEST} times or more; where they were come to from several sides, reversal is in RP.</p>")
-    parts.append("<h2>ISO 230-2: each axis by itself</h2>")
+        parts.append(note(f"Poses visited {FEWEST} times or more; where they were come to from several sides, reversal is in RP."))
+    parts.append(heading("ISO 230-2: each axis by itself"))
     if not c.iso230:
-        return [*parts, _paragraph("No axis was moved alone to one position from both sides: a plan with ladder does that.")]
+        return [*parts, paragraph("No axis was moved alone to one position from both sides: a plan with ladder does that.")]
     unit = "um" if c.iso230[0].unit == "m" else "urad"
     rows = [(a.axis, f"{a.B * 1e6:.1f}", f"{a.B_mean * 1e6:+.1f}", *("" if value is None else f"{value * 1e6:.1f}" for value in (a.A, a.R)),
              f"{a.u * 1e6:.1f}", a.positions, a.cycles, "yes" if a.formal else "no") for a in c.iso230]
@@ -77,7 +93,7 @@ def _budget(c: Certificate) -> list[str]:
     said = [f"A commanded pose: U = {words.um(c.budget.machine[0])}", f"a measured one: U = {words.um(c.budget.measuring[0])}"]
     if c.budget.machine[1] is not None and c.budget.measuring[1] is not None:
         said = [f"{line} and {words.urad(turn)}" for line, turn in zip(said, (c.budget.machine[1], c.budget.measuring[1]))]
-    return ["<h2>Where it comes from (U, k = 2)</h2>", _paragraph("; ".join(said) + ". What is not known is in neither."), svg.budget(c),
+    return [heading("Where it comes from (U, k = 2)"), paragraph("; ".join(said) + ". What is not known is in neither."), svg.budget(c),
             table(("contribution", "to", "position, um", "rotation, urad", "kind", "how"), rows)]
 
 
@@ -93,9 +109,8 @@ def _conditions(c: Certificate) -> list[str]:
             ("measured by", k.instrument), ("frame and scale held by", k.frame)]
     if not any("temperature" in name for name, _, _ in k.channels):
         rows.append(("temperature", "not logged"))
-    return ["<h2>Conditions</h2>", table(("what", "value"), rows)]
+    return [heading("Conditions"), table(("what", "value"), rows)]
 
 
 def _origin(c: Certificate) -> list[str]:
-    return ["<h2>Where this came from</h2><details><summary>Hashes, versions, arguments</summary>", table(("what", "value"), flat(c.provenance)),
-            "</details>"]
+    return [heading("Where this came from"), folded("Hashes, versions, arguments", table(("what", "value"), flat(c.provenance)))]

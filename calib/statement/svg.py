@@ -4,14 +4,7 @@ import numpy as np
 
 from calib.statement.certificate import Certificate
 from calib.statement.words import um
-from calib.svg import svg, text
-
-
-def _ticks(top: float) -> list[float]:
-    """Round figures from 0 up to top, five at the most."""
-    step = 10 ** np.floor(np.log10(top / 4))
-    step = next(step * k for k in (1, 2, 5, 10) if top / (step * k) <= 5)
-    return [float(k * step) for k in range(int(top / step) + 1)]
+from rig.page.svg import hover, svg, text, ticks
 
 
 def distribution(c: Certificate) -> str:
@@ -32,7 +25,7 @@ def distribution(c: Certificate) -> str:
     steps = " ".join(f"{x(v):.1f},{y(k / len(lengths)):.1f} {x(v):.1f},{y((k + 1) / len(lengths)):.1f}" for k, v in enumerate(lengths))
     parts = [f'<path class="axis" d="M{left},{high}V{bottom}H{right}"/>', f'<polyline class="line" points="{x(0):.1f},{y(0):.1f} {steps}"/>']
     parts += [text(left - 6, y(p) + 4, f"{p:.0%}", "end") for p in (0.0, 0.5, 1.0)]
-    parts += [text(x(v), bottom + 16, f"{v:g}", "middle") for v in _ticks(top)]
+    parts += [text(x(v), bottom + 16, f"{v:g}", "middle") for v in ticks(0.0, top)]
     for row, (name, value) in enumerate(lines):
         aside, anchor = (-5, "end") if value > top / 2 else (5, "start")
         parts += [f'<path class="mark" d="M{x(value):.1f},{4 + 16 * row}V{bottom}"/>',
@@ -55,8 +48,9 @@ def cells(c: Certificate) -> str:
             boxes[key] = max(boxes.get(key, 0.0), cell.promise.position.upper)
         for (x0, y0, x1, y1), bound in boxes.items():
             at, up, wide, tall = left + scale * (x0 - low[0]), base - scale * (y1 - low[1]), scale * (x1 - x0), scale * (y1 - y0)
-            parts += [f'<rect class="cell" fill-opacity="{0.1 + 0.5 * bound / worst / len(boxes) ** 0.3:.2f}" x="{at:.1f}" y="{up:.1f}" '
-                      f'width="{wide:.1f}" height="{tall:.1f}"/>', text(at + wide / 2, up + tall / 2 + 4, f"{bound * 1e6:.1f}", "middle")]
+            shade = 0.1 + 0.5 * bound / worst / len(boxes) ** 0.3
+            parts += [f'<rect class="cell" fill-opacity="{shade:.2f}" x="{at:.1f}" y="{up:.1f}" width="{wide:.1f}" height="{tall:.1f}">'
+                      f"{hover(f'{bound * 1e6:.1f} um')}</rect>", text(at + wide / 2, up + tall / 2 + 4, f"{bound * 1e6:.1f}", "middle")]
         parts += [text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
                   text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm")]
         height = base + 26
@@ -70,6 +64,7 @@ def budget(c: Certificate) -> str:
     parts = []
     for k, row in enumerate(rows):
         wide = 220 * (row.position or 0.0) / top
-        parts += [text(92, 16 + 22 * k, row.name, "end"), f'<rect class="{"bar" if row.of == "machine" else "measuring"}" x="98" y="{5 + 22 * k}" '
-                  f'width="{wide:.1f}" height="14"/>', text(102 + wide, 16 + 22 * k, um(row.position or 0.0))]
+        size, style = um(row.position or 0.0), "bar" if row.of == "machine" else "measuring"
+        parts += [text(92, 16 + 22 * k, row.name, "end"), f'<rect class="{style}" x="98" y="{5 + 22 * k}" width="{wide:.1f}" height="14">'
+                  f"{hover(f'{row.name}, {row.of}: {size}')}</rect>", text(102 + wide, 16 + 22 * k, size)]
     return svg(10 + 22 * len(rows), "contributions to a position's uncertainty, k = 2", parts)

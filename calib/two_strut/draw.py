@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.svg import text
+from rig.page.svg import text
 from calib.two_strut.example import L1, L2, NOMINAL, REAL, Worked, driven, grid, workspace, worked
 
 WIDTH, HEIGHT = 480, 400

@@ -1,21 +1,22 @@
 """The workspace from above and from the side, one quantity of its cells after another."""
 
-import html
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.svg import STYLE, svg, text
 from calib.workspace import words
 from calib.workspace.cells import Workspace
 from rig.effects.covariate import DRAWN
+from rig.page.figure import panels
+from rig.page.parts import heading, note, paragraph
+from rig.page.svg import hover, svg, text
 
 LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
 
 
 class Quantity(NamedTuple):
-    """What is drawn of cells. name; title : a line above it; style : of its cells, as calib.svg has it; values : of a Workspace's cells seen
+    """What is drawn of cells. name; title : a line above it; style : of its cells, as document.css has it; values : of a Workspace's cells seen
     one behind the other, rows (c,) of each column of them -> a number, NaN for none; written : that number in a cell"""
 
     name: str
@@ -78,7 +79,7 @@ def views(w: Workspace, q: Quantity) -> str:
             x, y = LEFT + scale * i, base - scale * (j + 1)
             opacity = 0.0 if value != value else 0.75 * max(value, 0.0) / top
             parts.append(f'<rect class="cell {q.style}" fill-opacity="{opacity:.2f}" x="{x:.1f}" y="{y:.1f}" width="{scale:.1f}" '
-                         f'height="{scale:.1f}"/>')
+                         f'height="{scale:.1f}">{hover(q.written(value)) if value == value else ""}</rect>')
             parts.append(text(x + scale / 2, y + scale / 2 + 3, q.written(value) if value == value else "", "middle", "small"))
         corner = [(w.origin[axis] * 1e3, (w.origin[axis] + span[axis] * w.size) * 1e3) for axis in (across, up)]
         parts += [text(LEFT, height + 14, f"{'xyz'[up]} up, {corner[1][0]:.0f} to {corner[1][1]:.0f} mm"),
@@ -89,7 +90,7 @@ def views(w: Workspace, q: Quantity) -> str:
 
 def titled(w: Workspace, q: Quantity) -> list[str]:
     """HTML of a Quantity over the cells, with its title."""
-    return [f"<p class=note>{html.escape(q.title)}</p>", views(w, q)]
+    return [note(q.title), views(w, q)]
 
 
 def section(w: Workspace | None, unit: str) -> list[str]:
@@ -97,5 +98,5 @@ def section(w: Workspace | None, unit: str) -> list[str]:
     if w is None:
         return []
     quantities = (LOST, GAINED, POSITION) if w.lost is not None else (POSITION,)
-    return [f"<style>{STYLE}</style><h2>The workspace</h2>", *(f"<p>{html.escape(line)}.</p>" for line in words.lines(w, unit)),
-            *(part for q in quantities for part in titled(w, q))]
+    maps = ("<div>" + "".join(titled(w, q)) + "</div>" for q in quantities)
+    return [heading("The workspace"), *(paragraph(f"{line}.") for line in words.lines(w, unit)), panels(*maps)]

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import html
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from calib.html_page import page, table
+import numpy as np
+
+from rig.page.document import Page, State, Verdict, write
+from rig.page.figure import Series, panel
+from rig.page.parts import heading, note, paragraph, table
 from synthetic import score
 
 if TYPE_CHECKING:
     from synthetic.score import Case, Figure, Hidden
 
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
-COLOURS = ("tab:green", "tab:olive", "tab:cyan", "tab:red", "tab:orange", "black")
 
 
 def tree(cases: list[Case]) -> dict:
@@ -44,17 +46,31 @@ def outcome(case: Case, hidden: Hidden) -> str:
 def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
     """Write the page of a campaign: figures with their intervals, by effect, by strength, the confusion matrix, and every wrong answer."""
     said = ", ".join(f"{name} {', '.join(map(str, value)) if isinstance(value, list) else value}" for name, value in settings.items() if value)
-    parts = [f"<p>{len(cases)} blinded cases ({html.escape(said)}). Strength is an effect's signal-to-noise over all corners once cameras and "
-             f"geometry have taken what they can; an effect is strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %.</p>",
+    parts = [paragraph(f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
+                       f"have taken what they can; an effect is strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %."),
              table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in score.figures(cases)]),
              table(("median", ""), [(name, f"{value:.3g}") for name, value in score.medians(cases).items()]),
-             "<h2>By effect</h2><p class=note>Strong ones, in cases with one or two.</p>", _grouped(score.by_effect(cases), "effect"),
-             "<h2>By strength</h2>", _grouped(score.by_strength(cases), "signal-to-noise")]
+             heading("By effect"), note("Strong ones, in cases with one or two."), _grouped(score.by_effect(cases), "effect"),
+             heading("By strength"), _grouped(score.by_strength(cases), "signal-to-noise")]
     if any(c.hidden for c in cases):
         parts.append(_strengths(cases))
-    parts += ["<h2>What was taken for what</h2><p class=note>Rows: what was hidden. Columns: the name that it was given.</p>",
-              _confusion(score.confusion(cases)), "<h2>Answers that were not right</h2>", _wrong(cases)]
-    page(path, "Blind cases", parts)
+    parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
+              _confusion(score.confusion(cases)), heading("Answers that were not right"), _wrong(cases)]
+    steps = ["Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"]
+    write(path, Page("blind", "Blind cases", judged(score.figures(cases)), parts, steps))
+
+
+def judged(figures: list[Figure]) -> Verdict:
+    """The verdict on a campaign: which of its figures reach what they are to reach, and which surely do not."""
+    asked = [f for f in figures if f.goal is not None and f.trials]
+    missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
+    if not asked:
+        return Verdict(State.CHECK, "no case tells of a figure that is to be reached")
+    if not missed:
+        return Verdict(State.GOOD, f"all {len(asked)} figures reach what they are to reach")
+    names = ", ".join(f"{f.name} {f.hits} of {f.trials} (to reach {f.goal:.0%})" for f in missed)
+    surely = any(f.high < (f.goal or 0) for f in missed)
+    return Verdict(State.BAD if surely else State.CHECK, f"{len(missed)} of {len(asked)} figures fall short: {names}")
 
 
 def _figure(f: Figure) -> tuple:
@@ -73,20 +89,13 @@ def _grouped(groups: list, heading: str) -> str:
     return table((heading, "times", "detected", "named", "placed", "intervals that cover", "taken for"), rows)
 
 
-def _strengths(cases: list[Case]) -> Any:
-    from matplotlib.figure import Figure
-
-    names = sorted({h.effect for c in cases for h in c.hidden})
-    figure = Figure(figsize=(10, 1.2 + 0.24 * len(names)), layout="constrained")
-    axes = figure.subplots()
-    for label, colour in zip(OUTCOMES, COLOURS):
-        points = [(max(h.strength, 0.1), names.index(h.effect)) for c in cases if c.failed is None for h in c.hidden if outcome(c, h) == label]
-        at, height = zip(*points) if points else ((), ())
-        axes.scatter(at, height, color=colour, s=18, label=label, alpha=0.8)
-    axes.axvline(score.STRONG, color="grey", lw=0.8)
-    axes.set(xscale="log", xlabel="signal-to-noise", yticks=range(len(names)), yticklabels=names)
-    axes.legend(fontsize=8, ncols=len(OUTCOMES), loc="lower center", bbox_to_anchor=(0.4, 1))
-    return figure
+def _strengths(cases: list[Case]) -> str:
+    """What became of every hidden effect, by its strength: a row for each outcome."""
+    told = [(max(h.strength, 0.1), OUTCOMES.index(outcome(c, h))) for c in cases if c.failed is None for h in c.hidden]
+    strength, became = (np.array(column, float) for column in zip(*told)) if told else (np.zeros(0), np.zeros(0))
+    series = [Series(np.log10(strength[became == k]), np.full((became == k).sum(), len(OUTCOMES) - float(k)), name, colour=k)
+              for k, name in enumerate(OUTCOMES)]
+    return panel("what became of each hidden effect", ("signal-to-noise, power of ten", ""), series, limits=(0.0, len(OUTCOMES) + 1.0))
 
 
 def _confusion(matrix: dict[str, dict[str, int]]) -> str:
@@ -104,4 +113,4 @@ def _wrong(cases: list[Case]) -> str:
             c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
         if c.failed is not None or not right:
             rows.append((c.index, hidden, c.failed or found))
-    return table(("case", "hidden (strength)", "found"), rows) if rows else "<p>There is none.</p>"
+    return table(("case", "hidden (strength)", "found"), rows) if rows else paragraph("There is none.")

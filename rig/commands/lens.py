@@ -33,7 +33,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.lens_page import lens_page
+    from calib.pages.lens import lens_page
     from rig.design_file import camera_block
     from rig.files import write_text
     from vision.lenses.photographs import calibrate_photographs

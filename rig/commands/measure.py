@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
 
     from calib.samples import uncertainty
-    from calib.measured_page import measurement_page
+    from calib.pages.measured import Measured, measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
     from vision.bundle.places import listed, places
@@ -74,7 +74,7 @@ def run(arguments: Namespace) -> None:
     writing.write_angles(out / "rpy.csv", poses)
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    measurement_page(out / "report.html", recording, measured, collected, moved, determination.lines(), wrong)
+    measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong))
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
     print_unsolved(measured)
     if wrong:

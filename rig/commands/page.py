@@ -3,19 +3,16 @@
 from collections.abc import Callable
 from functools import partial
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.commands.looking import Looking, Seen, View
 from rig.design import Camera, Design
-from rig.page import PageServer
+from rig.page.server import PageServer
 from rig.pose import transform_points, vector
-from vision.corners.detect import grey
+from vision.snapshot import jpeg
 from vision.targets import MarkerMap, marker_map
 
-WIDTH = 960  # px, of images on the page at most
-QUALITY = 80
 LATEST = 400  # frames whose figures are shown
 SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
 
@@ -59,14 +56,6 @@ class Page:
                 "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
                 "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
                 "rig": _rig(self._design, self._fixed, self._markers, T)}
-
-
-def jpeg(image: np.ndarray) -> bytes:
-    """JPEG of an image as cameras give it, no wider than the page needs."""
-    eight = grey(image)[0]
-    if eight.shape[1] > WIDTH:
-        eight = cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
 
 
 def _figures(seen: Seen) -> dict:

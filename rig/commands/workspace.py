@@ -59,7 +59,7 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     import json
 
     from calib.workspace.file import COLUMNS, workspace_out, workspace_rows
-    from calib.workspace_page import workspace_page
+    from calib.pages.workspace import workspace_page
     from rig.files import write_text
     from rig.writing import write_table
 

@@ -1,5 +1,1 @@
-"""The page of a run: served to this computer alone, to whoever has its token."""
-
-from rig.page.server import PageServer
-
-__all__ = ["PageServer"]
+"""Pages: those that commands write (document, parts, svg, figure), the one that a run serves (server), and what both look like."""

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from rig.page import PageServer
+from rig.page.server import PageServer
 
 EVENT = {"phase": "moving to step 3", "frame": 2, "frames": 9, "step": 3, "steps": 10, "left": 75.0, "ended": None,
          "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,

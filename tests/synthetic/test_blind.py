@@ -131,7 +131,7 @@ def test_a_campaign_is_blinded_scored_and_goes_on(tmp_path, monkeypatch, capfd):
     assert "case 1" in said and "is drawn anew" in said and "case 2" in said and "is diagnosed anew" in said
     assert (tmp_path / "s" / "hashes" / "0001.sha256").read_text() == blinded
     page = (tmp_path / "s" / "score.html").read_text()
-    assert "<script" not in page and "http" not in page and "What was taken for what" in page
+    assert "://" not in page and "What was taken for what" in page and 'content="rig blind"' in page
     capfd.readouterr()
     assert cli.main([*call[:6], "12", *call[7:]]) == 1 and "holds another campaign, with seed 11 (not 12)" in capfd.readouterr().err
     truth = tmp_path / "s" / "truth" / "0002.json"

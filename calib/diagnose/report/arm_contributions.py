@@ -3,15 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.figure import Figure
 
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis
+from rig.page.figure import COLOURS
+from rig.page.svg import hover, svg, text
 from rig.writing import write_table
 
 WORST = 24  # poses that are drawn
 LEFT = "what remains"
-COLOURS = "tab20"
+ROW, START, END = 16.0, 60.0, 392.0  # units of a figure: of a pose; where bars begin and end
 
 
 def contributions(d: ArmDiagnosis) -> tuple[list[str], np.ndarray]:
@@ -36,28 +36,27 @@ def write(path: Path, d: ArmDiagnosis) -> None:
     write_table(path, ("frame", *columns), [",".join([str(frame), *(f"{v:.9f}" for v in row)]) for frame, row in zip(d.arms.frame, sizes)])
 
 
-def picture(d: ArmDiagnosis) -> Figure:
+def picture(d: ArmDiagnosis) -> str:
     """Figure of the poses that suffer most: for each a bar, made of one for each finding, the biggest first, and of what remains."""
     names, sizes = contributions(d)
     worst = np.argsort(-sizes[:, :-1].sum(axis=1))[:WORST]
-    figure = Figure(figsize=(11, 0.9 + 0.24 * len(worst)), layout="constrained")
-    axes = figure.subplots()
-    order, start = np.argsort(-sizes[worst, :-1], axis=1), np.zeros(len(worst))
-    order = np.column_stack([order, np.full(len(worst), len(names) - 1)])
-    labelled: set[int] = set()
-    for rank in range(len(names)):
-        for row, pose in enumerate(worst):
-            which = int(order[row, rank])
-            axes.barh(row, sizes[pose, which] * 1e6, left=start[row], height=0.8, color=_colour(which, len(names)),
-                      label=None if which in labelled else names[which].replace("_", " "))
-            labelled.add(which)
-            start[row] += sizes[pose, which] * 1e6
-    axes.set_yticks(range(len(worst)), [str(frame) for frame in d.arms.frame[worst]], fontsize=7)
-    axes.invert_yaxis()
-    axes.set(xlabel="µm, one beside the other", ylabel="frame")
-    axes.legend(fontsize=7, loc="lower right")
-    return figure
+    scale = (END - START) / float(sizes[worst].sum(axis=1).max())
+    parts = [text(4, 14, "by frame, µm one beside the other", style="name")]
+    for row, pose in enumerate(worst):
+        at, y = START, 22 + ROW * row
+        parts.append(text(START - 6, y + 12, str(d.arms.frame[pose]), "end"))
+        for which in [*np.argsort(-sizes[pose, :-1]).tolist(), len(names) - 1]:
+            wide = float(sizes[pose, which]) * scale
+            said = f"{names[which].replace('_', ' ')}: {sizes[pose, which] * 1e6:.1f} µm"
+            parts.append(f'<rect class="fill {_colour(which, len(names))}" x="{at:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{ROW - 3:g}">'
+                         f"{hover(said)}</rect>")
+            at += wide
+    for k, name in enumerate(names):
+        y = 30 + ROW * (len(worst) + k)
+        parts += [f'<rect class="fill {_colour(k, len(names))}" x="{START:g}" y="{y:.1f}" width="10" height="10"/>',
+                  text(START + 16, y + 10, name.replace("_", " "))]
+    return svg(int(40 + ROW * (len(worst) + len(names))), "what each finding does to the poses that suffer most", parts)
 
 
-def _colour(which: int, count: int) -> str | tuple[float, ...]:
-    return "0.75" if which == count - 1 else colormaps[COLOURS](which % 20)
+def _colour(which: int, count: int) -> str:
+    return "grey" if which == count - 1 else f"c{which % COLOURS}"

@@ -4,17 +4,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.arm import SAME_ANGLE, figures
 from calib.diagnose.report.arm_picture import picture
 from calib.diagnose.report.drawing import scatter
-from calib.diagnose.report.page import Part
 from calib.diagnose.report.schema import FindingEntry
-from calib.html_page import table
 from rig import mechanisms
+from rig.page.figure import Series, panel
+from rig.page.parts import heading, note, paragraph, table
 
 ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
 
@@ -31,7 +30,7 @@ class ArmView:
         """How many hypotheses were held against the recording."""
         return self.diagnosis.asked
 
-    def where(self, places: list[str]) -> Figure:
+    def where(self, places: list[str]) -> str:
         """The arm in outline, joints marked."""
         d = self.diagnosis
         moved: dict[int, dict[str, float]] = {}
@@ -41,7 +40,7 @@ class ArmView:
                 here[term.candidate.name] = float(np.hypot(here.get(term.candidate.name, 0.0), d.fit.part(number).std()))
         return picture(d.arm, d.arms.q, moved)
 
-    def plot(self, finding: FindingEntry) -> Figure | None:
+    def plot(self, finding: FindingEntry) -> str | None:
         """Residuals of all poses turned back into the joint against what gives the finding away; None where it acts on the whole arm."""
         d = self.diagnosis
         number = d.findings[next(i for i, entry in enumerate(self.entries) if entry is finding)].number
@@ -57,7 +56,7 @@ class ArmView:
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
         return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.units(d.arm)[joint]}")
 
-    def remaining(self, unknown: list[FindingEntry]) -> list[Part]:
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""
         d, rows = self.diagnosis, []
         for h in d.held:
@@ -67,17 +66,17 @@ class ArmView:
                     f = figures(left)
                     rows.append([f"{label}, {h.stretches} stretches", *(f"{f[key] * 1e6:.1f}" for key in ("mean_m", "rms_m", "p95_m", "max_m")),
                                  f"{f['mean_rad'] * 1e6:.1f}" if "mean_rad" in f else "", f["n"]])
-        parts: list[Part] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
+        parts: list[str] = [self._errors(), table(("held-out error", "mean, µm", "RMS", "95 %", "max", "mean, µrad", "N"), rows)]
         if d.findings:
-            parts += ["<h3>What each finding brings on poses held out</h3>", self._proofs(),
-                      "<h3>What single poses suffer from</h3><p>The poses that all findings together displace most, for each finding a bar, the "
-                      "biggest first. contributions.csv has them for every pose.</p>", arm_contributions.picture(d)]
+            parts += [heading("What each finding brings on poses held out", 3), self._proofs(), heading("What single poses suffer from", 3),
+                      paragraph("The poses that all findings together displace most, for each finding a bar, the biggest first. "
+                                "contributions.csv has them for every pose."), arm_contributions.picture(d)]
         aside = d.arms.frame[d.fit.aside]
         if len(aside):
-            parts.append(f"<p>{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}.</p>")
+            parts.append(paragraph(f"{len(aside)} poses agree with no model and count for next to nothing: frames {', '.join(map(str, aside))}."))
         if d.repeats is not None and any(u.depends_on == ("configuration",) for u in d.left):
-            parts.append(f"<p>The same command brings {d.repeats.again:.0%} of what remains again: that is no noise, and of no form that was "
-                         "tried.</p>")
+            parts.append(paragraph(f"The same command brings {d.repeats.again:.0%} of what remains again: that is no noise, and of no form that was "
+                                   "tried."))
         return parts
 
     def measurement(self) -> list[tuple[str, Any]]:
@@ -98,18 +97,15 @@ class ArmView:
             found = [d.cross_validations[i], *(row[i] for row in d.regions)]
             rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
         joints = [f"joint {j + 1}" for j in range(len(d.regions))]
-        note = ("<p class=note>µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own "
-                "angle is not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.</p>")
-        return table(("finding", "held out: time", *joints), rows) + note
+        said = note("µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle is "
+                    "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.")
+        return table(("finding", "held out: time", *joints), rows) + said
 
-    def _errors(self) -> Figure:
+    def _errors(self) -> str:
         d = self.diagnosis
-        figure = Figure(figsize=(11, 3), layout="constrained")
-        axes = figure.subplots()
-        for left, label in ((d.held[0].before, "geometry alone"), (d.held[0].after, "with effects")):
-            axes.semilogy(np.linalg.norm(left[:, :3], axis=1) * 1e6, ".", ms=2, label=label)
+        series = [Series(np.arange(len(left)), np.linalg.norm(left[:, :3], axis=1) * 1e6, label, colour=colour) for left, label, colour in
+                  ((d.held[0].before, "geometry alone", 1), (d.held[0].after, "with effects", 0))]
         if d.repeats is not None:
-            axes.axhline(d.repeats.mean * 1e6, color="0.3", lw=0.8, label="the same command again")
-        axes.set(xlabel="pose", ylabel="held-out position error, µm")
-        axes.legend(fontsize=8)
-        return figure
+            ends = np.array([0.0, len(d.held[0].after) - 1.0])
+            series.append(Series(ends, np.full(2, d.repeats.mean * 1e6), "the same command again", "line", -1))
+        return panel("held-out errors", ("pose", "position error, µm"), series, log=True)

@@ -1,31 +1,29 @@
 """Figures of residuals: before and after against a covariate, and along time."""
 
 import numpy as np
-from matplotlib.figure import Figure
+
+from rig.page.figure import Series, panel, panels
 
 BINS = 14  # of the covariate, with as many residuals each
-BEFORE, AFTER = "tab:red", "tab:blue"
+BEFORE, AFTER, GREY = 3, 0, -1  # colours of a figure
 
 
-def scatter(x: np.ndarray, label: str, both: list[np.ndarray], y: str) -> Figure:
-    """Figure of residuals before and after (m,) against a covariate x (m,), and of those before against what the effect explains."""
-    figure = Figure(figsize=(11, 3.2), layout="constrained")
-    limit = 1.15 * max(np.quantile(np.abs(v), 0.995) for v in both) + 1e-12
-    panels = ((x, both[0], "without it", BEFORE, label), (x, both[1], "with it", AFTER, label),
-              (both[0] - both[1], both[0], "without it, against what it explains", BEFORE, f"explained: {y}"))
-    for axes, (at, values, title, colour, below) in zip(figure.subplots(1, 3, sharey=True), panels):
-        axes.plot(at, np.clip(values, -limit, limit), ".", ms=3, alpha=0.4, color="grey")
-        inside = _bins(at)
-        axes.errorbar([at[b].mean() for b in inside], [values[b].mean() for b in inside],
-                      [2 * values[b].std() / np.sqrt(b.sum()) for b in inside], fmt="o", ms=4, color=colour, capsize=2)
-        axes.axhline(0, color="black", lw=0.6)
-        axes.set_xlabel(below, fontsize=8)
-        axes.set_title(title, fontsize=10)
-        axes.set_ylim(-limit, limit)
-    ends = np.array([(both[0] - both[1]).min(), (both[0] - both[1]).max()])
-    figure.axes[2].plot(ends, ends, color="black", lw=1, ls="--")
-    figure.axes[0].set_ylabel(y)
-    return figure
+def scatter(x: np.ndarray, label: str, both: list[np.ndarray], y: str) -> str:
+    """Residuals before and after (m,) against a covariate x (m,), and those before against what the effect explains."""
+    limit = 1.15 * max(float(np.quantile(np.abs(v), 0.995)) for v in both) + 1e-12
+    explained = both[0] - both[1]
+    ends = np.array([explained.min(), explained.max()])
+    panes = ((x, both[0], "without it", BEFORE, label, ()), (x, both[1], "with it", AFTER, label, ()),
+             (explained, both[0], "without it, against what it explains", BEFORE, f"explained: {y}", (Series(ends, ends, kind="line", colour=GREY),)))
+    return panels(*(panel(title, (below, y), [Series(at, np.clip(values, -limit, limit), colour=GREY), _means(at, values, colour), *more],
+                          limits=(-limit, limit), level=0.0) for at, values, title, colour, below, more in panes))
+
+
+def _means(x: np.ndarray, values: np.ndarray, colour: int) -> Series:
+    """Means of values (m,) over bins of x (m,) with their 95 % intervals."""
+    inside = _bins(x)
+    return Series(np.array([x[b].mean() for b in inside]), np.array([values[b].mean() for b in inside]), "", "rings", colour,
+                  np.array([2 * values[b].std() / np.sqrt(b.sum()) for b in inside]))
 
 
 def _bins(x: np.ndarray) -> list[np.ndarray]:
@@ -35,14 +33,9 @@ def _bins(x: np.ndarray) -> list[np.ndarray]:
     return [place == b for b in np.unique(place)]
 
 
-def over_time(t: np.ndarray, values: np.ndarray, y: str) -> Figure:
-    """Figure of what is left (n,) at times t (n,) s, its running mean drawn in."""
-    order = np.argsort(t)
-    figure = Figure(figsize=(11, 2.6), layout="constrained")
-    axes = figure.subplots()
-    axes.plot(t / 60, values, ".", ms=3, alpha=0.5, color="grey")
-    width = max(len(t) // 25, 1)
-    axes.plot(np.convolve(t[order], np.ones(width) / width, "valid") / 60, np.convolve(values[order], np.ones(width) / width, "valid"), color=AFTER)
-    axes.axhline(0, color="black", lw=0.6)
-    axes.set(xlabel="time, min", ylabel=y)
-    return figure
+def over_time(title: str, t: np.ndarray, values: np.ndarray, y: str) -> str:
+    """What is left (n,) at times t (n,) s, its running mean drawn in."""
+    order, width = np.argsort(t), max(len(t) // 25, 1)
+    ones = np.ones(width) / width
+    mean = Series(np.convolve(t[order], ones, "valid") / 60, np.convolve(values[order], ones, "valid"), "running mean", "line", AFTER)
+    return panel(title, ("time, min", y), [Series(t / 60, values, colour=GREY), mean], level=0.0)

@@ -4,15 +4,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.report.drawing import over_time
-from calib.diagnose.report.page import Part
 from calib.diagnose.report.plots import diagnostic_plot, model_residuals, residual_map, residuals
 from calib.diagnose.report.schema import FindingEntry
 from calib.diagnose.report.schematic import schematic
+from rig.page.figure import bars, panels
 from rig.recording import Recording
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
@@ -31,11 +30,11 @@ class PlatformView:
         """How many hypotheses were held against the recording."""
         return self.diagnosis.selection.asked
 
-    def where(self, places: list[str]) -> Figure:
+    def where(self, places: list[str]) -> str:
         """The rig in outline, places marked."""
         return schematic(self.diagnosis.selection.fit.refined.point, places)
 
-    def plot(self, finding: FindingEntry) -> Figure | None:
+    def plot(self, finding: FindingEntry) -> str | None:
         """Of an admitted effect; None for what was found before all else: faces exchanged or moved."""
         d = self.diagnosis
         if finding.evidence.delta_bic is None:
@@ -43,16 +42,16 @@ class PlatformView:
         number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e.values(), e.name, e.place))
         return diagnostic_plot(d.selection.fit.refined, number)
 
-    def remaining(self, unknown: list[FindingEntry]) -> list[Part]:
+    def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Figure of the levels, then of what is unknown."""
         refined = self.diagnosis.selection.fit.refined
         k = refined.point
         struts, corners = residuals(refined)
-        parts: list[Part] = [_levels(self.diagnosis, struts)]
+        parts: list[str] = [_levels(self.diagnosis, struts)]
         for f in unknown[:PICTURED]:
             kind, _, name = f.place.partition(" ")
             if kind == "strut":
-                parts += [f"<p class=note>{f.place}</p>", over_time(k.t, struts[:, int(name) - 1] * 1e6, "strut, µm")]
+                parts.append(over_time(f.place, k.t, struts[:, int(name) - 1] * 1e6, "strut, µm"))
             elif kind == "camera":
                 own = np.flatnonzero(k.observed.observations.camera == [c.name for c in k.design.cameras].index(name))
                 parts.append(residual_map(k, own, (corners,), ("what is left",)))
@@ -73,8 +72,8 @@ def _same(finding: FindingEntry, values: dict[str, Any], name: str, place: str) 
     return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items() if n in values and np.size(p.value) == np.size(values[n]))
 
 
-def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> Figure:
-    """Figure of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
+def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
+    """Figures of what is left of each strut and camera, with nothing admitted, with all, and the noise."""
     refined, before = d.selection.fit.refined, d.selection.before.refined
     k, rows = refined.point, []
     if k.axes:
@@ -83,15 +82,8 @@ def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> Figure:
         rows.append(([f"strut {i + 1}" for i in range(k.axes)], _rms(bare) * 1e6, _rms(struts) * 1e6, noise, "µm"))
     if k.seen is not None:
         rows.append(_camera_levels(refined.model, before.model))
-    figure = Figure(figsize=(11, 2.8), layout="constrained")
-    for axes, (labels, first, last, noise, unit) in zip(figure.subplots(1, max(len(rows), 1), squeeze=False)[0], rows):
-        at = np.arange(len(labels))
-        axes.bar(at - 0.2, first, 0.4, color="tab:red", label="nothing admitted")
-        axes.bar(at + 0.2, last, 0.4, color="tab:blue", label="as diagnosed")
-        axes.plot(at, noise, "k_", ms=28, label="noise")
-        axes.set(xticks=at, xticklabels=labels, ylabel=f"RMS, {unit}", ylim=(0, 1.25 * max(first.max(), last.max(), noise.max())))
-        axes.legend(fontsize=8, ncols=3, loc="upper center")
-    return figure
+    return panels(*(bars("what is left, RMS", labels, [("nothing admitted", first.tolist(), 3), ("as diagnosed", last.tolist(), 0),
+                                                       ("noise", noise.tolist(), -1)], unit) for labels, first, last, noise, unit in rows))
 
 
 def _camera_levels(model: LinearisedModel, before: LinearisedModel) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray, str]:

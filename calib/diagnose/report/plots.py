@@ -1,7 +1,6 @@
 """What an effect looks like: residuals against the covariate that gives it away, without the effect and with it."""
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from calib.diagnose.problems.platform.candidates import seen_alone
 from calib.diagnose.problems.platform.heldout import change
@@ -10,6 +9,8 @@ from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.report.drawing import AFTER, BEFORE, scatter
 from rig.effects.base import REFERENCE_TEMPERATURE, Effect
+from rig.page.figure import bars, panels
+from rig.page.plane import Arrows, image_plane
 
 CELLS = 14  # of a residual map, across the image
 
@@ -45,8 +46,8 @@ def _in_pixels(model: LinearisedModel, image: np.ndarray) -> np.ndarray:
     return out
 
 
-def diagnostic_plot(refined: Refined, number: int) -> Figure:
-    """Figure of admitted effect number `number`: left without it, right with it, all else as admitted."""
+def diagnostic_plot(refined: Refined, number: int) -> str:
+    """Figures of admitted effect number `number`: left without it, right with it, all else as admitted."""
     k, effect = refined.point, refined.point.effects[number]
     (struts_before, image_before), (struts_after, image_after) = residuals(refined, (number,)), residuals(refined)
     if not seen_alone(effect):
@@ -64,7 +65,7 @@ def diagnostic_plot(refined: Refined, number: int) -> Figure:
                    "residual along it, px")
 
 
-def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
+def _along_time(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
     """Mean residuals of each picture along the way that the effect moves it most."""
     frame = k.observed.observations.frame[own]
     along = _mean(frame, before[own] - after[own])
@@ -107,7 +108,7 @@ def _mean(key: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out / count.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
+def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
     """Scale of each picture about its centre against temperature."""
     o = k.observed.observations
     matrix = np.stack([c.matrix[:2, 2] for c in k.design.cameras])
@@ -121,7 +122,7 @@ def _focal(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.nda
     return scatter(x, f"temperature, C (dimensions hold at {REFERENCE_TEMPERATURE:g})", scale, "scale of a picture, 1e-6")
 
 
-def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> Figure:
+def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.ndarray) -> str:
     """How far corners lie outward of their marker's middle against its size in the image."""
     o = k.observed.observations
     row = k.observed.row[own]
@@ -133,28 +134,19 @@ def _outward(k: OperatingPoint, own: np.ndarray, before: np.ndarray, after: np.n
     return scatter(np.sqrt(2) * _mean(row, size), "side of the marker in the image, px", values, "corners lie outward by, px")
 
 
-def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> Figure:
+def _bars(effect: Effect, k: OperatingPoint, before: np.ndarray, after: np.ndarray) -> str:
     """Residuals of every marker or target of the same body."""
     o = k.observed.observations
     by_target = effect.view == "targets"
     names = np.array(k.observed.markers.target if by_target else [str(i) for i in k.observed.markers.id])[o.marker]
     labels = sorted(set(names.tolist()), key=lambda n: (len(n), n))
-    figure = Figure(figsize=(11, 2.6), layout="constrained")
-    axes = figure.subplots()
-    mine = effect.place.split(" ")[1]
-    for offset, values, colour, text in ((-0.2, before, BEFORE, "without it"), (0.2, after, AFTER, "with it")):
-        height = [np.sqrt(np.mean(values[names == n] ** 2)) for n in labels]
-        axes.bar(np.arange(len(labels)) + offset, height, 0.4, color=colour, label=text)
-    axes.set(xticks=range(len(labels)), ylabel="RMS, px", xlabel="cube" if by_target else "marker")
-    axes.set_xticklabels(labels, fontsize=7)
-    for tick, n in zip(axes.get_xticklabels(), labels):
-        tick.set(color="crimson" if n == mine else "black", fontweight="bold" if n == mine else "normal")
-    axes.legend(fontsize=8)
-    return figure
+    groups = [(text, [float(np.sqrt(np.mean(values[names == n] ** 2))) for n in labels], colour)
+              for values, colour, text in ((before, BEFORE, "without it"), (after, AFTER, "with it"))]
+    return bars(f"residuals of every {'cube' if by_target else 'marker'}, RMS", labels, groups, "px", [effect.place.split(" ")[1]])
 
 
-def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...], titles: tuple[str, ...] = ("without it", "with it")) -> Figure:
-    """Figure of mean residuals over patches of one camera's image, one panel for each of `both` (n, 2) px."""
+def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...], titles: tuple[str, ...] = ("without it", "with it")) -> str:
+    """Mean residuals over patches of one camera's image, one figure for each of `both` (n, 2) px."""
     o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
@@ -163,10 +155,7 @@ def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...
     centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
     means = [_mean(key, values[own]) for values in both]
     enough = count >= 5
-    longest = max(np.linalg.norm(means[0][enough], axis=1).max(initial=0), 1e-9)
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    for axes, mean, title, colour in zip(figure.subplots(1, len(both), squeeze=False)[0], means, titles, (BEFORE, AFTER)):
-        axes.quiver(*centre[enough].T, *mean[enough].T, angles="xy", scale_units="xy", scale=longest / (1.2 * cell), color=colour, width=0.004)
-        axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", title=f"{camera.name}, {title}",
-                 xlabel=f"longest arrow of both {longest:.3g} px")
-    return figure
+    longest = max(float(np.linalg.norm(means[0][enough], axis=1).max(initial=0)), 1e-9)
+    return panels(*(image_plane(f"{camera.name}, {title}", f"longest arrow of both {longest:.3g} px", (camera.width, camera.height),
+                                (Arrows(centre[enough], mean[enough], 1.2 * cell / longest, "px", colour),))
+                    for mean, title, colour in zip(means, titles, (BEFORE, AFTER))))

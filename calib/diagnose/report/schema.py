@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass, field, fields, is_dataclass
-from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -196,7 +195,7 @@ class Report:
         from calib.diagnose.report import words  # which stands on this
 
         rows = [(words.title(f), words.size(f).removeprefix(", "), f.action or "") for f in self.findings]
-        return shown(unescape(words.verdict(self)), [], [("what", "size", "what to do"), *rows] if rows else [])
+        return shown(words.verdict(self), [], [("what", "size", "what to do"), *rows] if rows else [])
 
     @property
     def named(self) -> list[FindingEntry]:

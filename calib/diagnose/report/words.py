@@ -1,6 +1,5 @@
 """A Report in words and figures for people: micrometres, microradians, pixels; what was found, how sure, what to do."""
 
-import html
 from collections.abc import Sequence
 
 import numpy as np
@@ -59,7 +58,7 @@ def verdict(report: Report) -> str:
         left = f"something at {worst.place} that nothing in the catalogue explains, {number(worst.magnitude, worst.unit)}"
         left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        return html.escape(f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise.")
+        return f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise."
     main = report.mattering or report.named
     said = [f"{title(f)}{size(f)}{beforehand(f)}" for f in main]
     fewer = len(report.named) - len(main)
@@ -68,7 +67,7 @@ def verdict(report: Report) -> str:
     text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
     text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
-    return html.escape(sentence(text))
+    return sentence(text)
 
 
 def held_out(fit: FitEntry, named: bool) -> str:
@@ -77,7 +76,7 @@ def held_out(fit: FitEntry, named: bool) -> str:
     ratio = f", {fit.heldout_after / fit.noise_floor:.2f} times the noise" if fit.noise_floor else ""
     if not named:
         return f"On stretches of the recording that the fit had not seen, {after} are left over{ratio} ({floor})."
-    return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to <b>{after}</b>{ratio} ({floor})."
+    return f"On stretches of the recording that the fit had not seen, the misfit falls from {before} to {after}{ratio} ({floor})."
 
 
 def chance(p: float | None) -> str:

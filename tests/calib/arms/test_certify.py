@@ -208,7 +208,7 @@ def test_real_arm_through_the_command_line(shared, tmp_path):
     assert "30 of 30 parameters fitted" in said and "random" in said
     tree = json.loads((tmp_path / "c.json").read_text())
     assert tree["held_out"]["before"]["mean"][0] > 0.7e-3 and tree["held_out"]["after"]["mean"][0] < 0.13e-3
-    assert (tmp_path / "c.html").read_text().count("<img") >= 3
+    assert (tmp_path / "c.html").read_text().count("<svg") >= 8
     wanted = tmp_path / "wanted.csv"
     lines = (arm / "poses.csv").read_text().splitlines()
     wanted.write_text("\n".join([lines[0], *lines[1:60:4]]) + "\n")

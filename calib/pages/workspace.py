@@ -1,0 +1,48 @@
+"""The page of a workspace: lost, gained, room, singularities and error bounds over its cells."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.workspace import drawing, words
+from calib.workspace.cells import Workspace
+from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.parts import heading, note, paragraph, table
+
+SINGULAR = 0.02  # of the greatest singular value, below which a place is near a singularity
+
+
+def workspace_page(path: Path | str, name: str, w: Workspace, unit: str, room_of: str, certified: np.ndarray | None = None,
+                   links: Sequence[Link] = ()) -> None:
+    """Write the page. name : of the calibration; unit : of an axis, m or rad; room_of : what the map's room is of, in words
+    certified : (c, 2) m and rad that a certificate promises in each cell, NaN where none does, or None without one"""
+    quantities = [*((drawing.LOST, drawing.GAINED) if w.lost is not None else ()), drawing.POSITION,
+                  *((drawing.ROTATION,) if w.turns else ()), drawing.room(unit), drawing.SINGULAR]
+    first, *rest = words.lines(w, unit)
+    parts = [*(paragraph(f"{line}.") for line in rest),
+             note(f"Cells of {w.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of the strokes, all axes free of each "
+                  f"other; what depends on history, temperature and load is not in it. Room: of {room_of}.")]
+    for q in quantities:
+        parts += [heading(q.name.capitalize()), *drawing.titled(w, q)]
+    if certified is not None:
+        known = np.flatnonzero(np.isfinite(certified[:, 0]))
+        rows = [(*(f"{value * 1e3:.0f}" for value in w.centre[k]), f"{certified[k, 0] * 1e6:.1f}",
+                 "" if np.isnan(certified[k, 1]) else f"{certified[k, 1] * 1e6:.1f}", f"{w.bound[k, 0] * 1e6:.1f}") for k in known]
+        parts += [heading("What the certificate promises"), note("From poses held out, in the cells whose middle lies in its volume; beside it the "
+                                                                 "bound by the calibration's own covariance."),
+                  table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "bound, um"), rows)]
+    write(path, Page("workspace", f"Workspace of {name}", judged(w, first.removeprefix("workspace: ")), parts, to_do(w), links))
+
+
+def judged(w: Workspace, first: str) -> Verdict:
+    """The verdict on a Workspace. first : what it comes to, in words"""
+    if np.nanmin(w.singular) < SINGULAR:
+        return Verdict(State.CHECK, f"{first}; somewhere it comes near a singularity")
+    return Verdict(State.CHECK if w.lost else State.GOOD, first)
+
+
+def to_do(w: Workspace) -> list[str]:
+    """What an owner does next with a map of the workspace."""
+    lost = ["Keep wanted poses out of the cells where some are lost: `rig correct` refuses those that the machine cannot reach"] if w.lost else []
+    return [*lost, "Where the bound is greatest, take more poses: `rig plan RIG.toml --for parameters --calibration calibration.json --out plan.csv`"]

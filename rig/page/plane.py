@@ -1,0 +1,69 @@
+"""Figures of a plane seen straight on, as a camera's image: arrows, crosses, and cells of a grid by their value."""
+
+import html
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.page.svg import TEXT, WIDTH, hover, svg, text
+
+TOP = TEXT + 11.0
+Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
+MOST = 3000  # arrows that are drawn: of more, evenly chosen ones
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrows:
+    """at : (n, 2) in the plane's own units; by : (n, 2) values in `unit`, drawn so many times `enlarged`; colour : as of a figure's Series"""
+
+    at: np.ndarray
+    by: np.ndarray
+    enlarged: float
+    unit: str
+    colour: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """centre : (n, 2) of square cells of `size`, both in the plane's own units; values : (n,) in `unit`, shown by their shade"""
+
+    centre: np.ndarray
+    values: np.ndarray
+    size: float
+    unit: str
+
+
+def image_plane(title: str, below: str, size: tuple[float, float], layers: Sequence[Arrows | Cells], dots: np.ndarray | None = None) -> str:
+    """A figure of an image. below : a line below it; size : (width, height) px; dots : (n, 2) px of places marked, or None"""
+    width, height = size
+    scale = (WIDTH - 8) / width
+    tall = scale * height
+    parts = [text(4, 14, title, style="name"), f'<rect class="frame" x="4" y="{TOP:.1f}" width="{WIDTH - 8}" height="{tall:.1f}"/>']
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return points * scale + [4 + scale / 2, TOP + scale / 2]
+
+    for layer in layers:
+        parts += _cells(layer, placed, scale) if isinstance(layer, Cells) else [_arrows(layer, placed, scale)]
+    if dots is not None and len(dots):
+        d = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in placed(dots[:: -(-len(dots) // MOST)]).tolist())
+        parts.append(f'<path class="specks" d="{d}"/>')
+    parts.append(text(4, TOP + tall + 17, below))
+    return svg(int(TOP + tall + 24), f"{title}: {below}", parts)
+
+
+def _cells(cells: Cells, placed: Placed, scale: float) -> list[str]:
+    top = float(np.nanmax(cells.values, initial=1e-300))
+    side = cells.size * scale
+    return [f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / top:.2f}" x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" '
+            f'width="{side:.1f}" height="{side:.1f}">{hover(f"{value:.4g} {cells.unit}")}</rect>'
+            for (x, y), value in zip(placed(cells.centre).tolist(), cells.values.tolist()) if value == value]
+
+
+def _arrows(arrows: Arrows, placed: Placed, scale: float) -> str:
+    every = max(-(-len(arrows.at) // MOST), 1)
+    at, by = placed(arrows.at[::every]), arrows.by[::every] * arrows.enlarged * scale
+    d = "".join(f"M{x:.1f} {y:.1f}l{u:.1f} {v:.1f}" for (x, y), (u, v) in zip(at.tolist(), by.tolist()))
+    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{html.escape(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
+            f'd="{d}"/>')
