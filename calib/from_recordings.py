@@ -74,7 +74,7 @@ def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: 
     Raises RigError for a name that there is not, NotEnoughData where the recording tells nothing
     """
     asked = None if only is None else list(only)
-    if recording.design.mechanism.kind == "arm":
+    if recording.design.mechanism.kind in ("arm", "chain"):
         return arm_report.report(diagnose_arm(recording, asked, tuple(without), progress))
     return platform_report.report(diagnose_platform(recording, asked, tuple(without), progress))
 

@@ -11,11 +11,15 @@ from calib import store
 from calib.chains import model
 from calib.chains.identify import identify
 from calib.samples import Samples
-from rig import design_file, layout, machine_file
+from rig import design_file, layout, machine_file, table
 from rig.configurations import low_discrepancy
-from rig.errors import FileError, Unreachable
+from rig.effects.parse import parse, placed
+from rig.errors import FileError, RigError, Unreachable
+from rig.machine import run
+from rig.mechanisms import places as chain_places
 from rig.mechanisms import arm, chain, hexapod
 from rig.pose import difference, exp, log, pose
+from rig.recording import Commands
 from tests.loops import holds, lines, rig, verified
 from tests.numeric import jacobian as differences
 
@@ -33,7 +37,7 @@ INSTRUMENT = '[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nr
 
 
 def written(folder, seen=False):
-    """The rig.toml of a hexapod on a gantry, seen by cameras or measured by an instrument."""
+    """Design of the rig.toml, written into a folder, of a hexapod on a gantry, seen by cameras or measured by an instrument."""
     text = layout.layout(0.25)
     start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
@@ -43,8 +47,13 @@ def written(folder, seen=False):
 
 
 @pytest.fixture
-def gantry(tmp_path):
-    return written(tmp_path).mechanism
+def design(tmp_path):
+    return written(tmp_path)
+
+
+@pytest.fixture
+def gantry(design):
+    return design.mechanism
 
 
 def test_a_chain_is_its_stages_one_upon_the_other(gantry):
@@ -146,3 +155,61 @@ def test_a_loop_closes_from_corners(tmp_path, capfd):
     rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:60", "--seed", "2", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
     m = design.mechanism
     holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 8, 0.5, 5), m))))
+
+
+@pytest.mark.parametrize("text, place", [("backlash:stage2strut3:gap=1e-4", "stage 2 strut 3"),
+                                         ("backlash:stage 1 joint 2:gap=1e-4", "stage 1 slide 2")])
+def test_effects_sit_at_the_axes_of_stages(design, gantry, text, place):
+    effect = placed(parse(text), design)
+    assert effect.place == place
+    t = np.array([0.0, 1.0, 2.0, 3.0])
+    home, far = chain.home(gantry), chain.travel(gantry)[:, 0]
+    still, held = (run(design, Commands(t, np.array([home, far, home, home])), t[2:], effects).deviation for effects in ((), (effect,)))
+    at = chain_places(gantry).index(place)
+    assert np.abs(held[:, at] - still[:, at]).min() > 4e-5 and not np.delete(held - still, at, axis=1).any()
+
+
+@pytest.mark.parametrize("text, says", [("backlash:stage 3 strut 1:gap=1e-4", "no such axis; is 'stage 2 strut 1' meant"),
+                                        ("backlash:stage 1 strut 2:gap=1e-4", "no such axis"), ("backlash:s1q1:gap=1e-4", "cannot sit at")])
+def test_places_that_a_chain_does_not_have_are_refused(design, text, says):
+    with pytest.raises(RigError, match=says):
+        placed(parse(text), design)
+
+
+@pytest.mark.slow
+def test_configurations_are_planned_that_tell_all_stages(tmp_path, capfd):
+    written(tmp_path)
+    rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "16", "--out", tmp_path / "plan.csv")
+    said = capfd.readouterr().out
+    assert "6 combinations of them no pose tells" in said and "16 configurations for 54 parameters" in said
+    rows = [line.split() for line in said.splitlines() if " um  " in line or " urad  " in line]
+    assert len(rows) == 8 and all(float(row[0]) < float(row[1]) for row in rows)
+    m = design_file.load(tmp_path / "rig.toml").mechanism
+    assert not chain.limits(table.read(tmp_path / "plan.csv", ("frame", *m.axes)).matrix(m.axes), m).any()
+
+
+@pytest.mark.slow
+def test_effects_are_found_at_their_stages(tmp_path, capfd):
+    """Of the whole catalogue, at both stages, the two that are there are found, as large as they are; the page draws both stages."""
+    written(tmp_path)
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:120,ladder:2", "--seed", "3", "--effect", "backlash:stage 1 slide 2:gap=1e-4",
+        "--effect", "cyclic_error:stage 2 strut 3:amplitude=4e-5", "--out", tmp_path / "rec", "--truth", tmp_path / "truth.json")
+    rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
+    assert "backlash at stage 1 slide 2: gap" in capfd.readouterr().out
+    found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())["findings"]
+    assert [(f["effect"], f["place"]) for f in found] == [("backlash", "stage 1 slide 2"), ("cyclic_error", "stage 2 strut 3")]
+    for one, name, true in zip(found, ("gap", "amplitude"), (1e-4, 4e-5)):
+        low, high = one["parameters"][name]["ci95"]
+        assert low < true < high and one["parameters"][name]["unit"] == "m"
+    page = (tmp_path / "found" / "diagnosis.html").read_text()
+    assert "stage 1 slide 2" in page and page.count("<svg") + page.count("data:image") >= 3
+    rig("simulate", "--from", tmp_path / "found", "--out", tmp_path / "again")
+
+
+@pytest.mark.slow
+def test_moves_that_tell_effects_of_two_stages_apart(tmp_path, capfd):
+    written(tmp_path)
+    rig("plan", tmp_path / "rig.toml", "--separate", "backlash:stage1slide1:gap=1e-4", "backlash:stage2strut1:gap=1e-4", "--out",
+        tmp_path / "plan.csv")
+    said = capfd.readouterr().out
+    assert float(said.splitlines()[1].split()[0]) > 5 and "best: " in said

@@ -65,3 +65,23 @@ def test_a_slides_limits_and_effects_are_in_metres(tmp_path, rig):
     (tmp_path / "far.csv").write_text("frame,q1,q2,q3,q4\n0,0.1,0.2,0.5,0\n")
     refused = rig("simulate", tmp_path / "rig.toml", "--plan", f"commands:{tmp_path / 'far.csv'}", "--out", tmp_path / "rec2", ok=False)
     assert "slide 3 is commanded out of its range" in refused
+
+
+@pytest.mark.slow
+def test_what_a_slide_leaves_out_is_told_in_metres(tmp_path, rig):
+    """A SCARA's slide with a play and a wrong lead, the whole catalogue asked: in the text, in JSON and on the page lengths are lengths."""
+    rig("design", "--mechanism", "arm", "--arm", "scara", "--out", tmp_path / "rig.toml")
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:150,ladder:4", "--seed", "3", "--effect", "backlash:slide 3:gap=2e-4",
+        "--effect", "scale_error:joint 3:scale=6e-4", "--out", tmp_path / "rec")
+    said = rig("diagnose", tmp_path / "rec", "--out", tmp_path / "found")
+    assert re.search(r"backlash at slide 3: gap 0\.000\d+ m \(", said) and "slide 3: scale" in said and "rad" not in said
+    tree = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
+    found = {one["effect"]: one for one in tree["findings"]}
+    assert set(found) == {"backlash", "scale_error"} and {one["place"] for one in tree["findings"]} == {"slide 3"}
+    gap, scale = found["backlash"]["parameters"]["gap"], found["scale_error"]["parameters"]["scale"]
+    assert gap["unit"] == "m" and gap["ci95"][0] < 2e-4 < gap["ci95"][1] and scale["ci95"][0] < 6e-4 < scale["ci95"][1]
+    assert [one["reason"] for one in tree["not_asked"] if one["effect"] == "cyclic_error"] == [
+        "at slide 3 it needs [actuator] screw_lead in rig.toml"]
+    assert [one["place"] for one in tree["held_out_by_region"]] == ["joint 1", "joint 2", "slide 3", "joint 4"]
+    page = (tmp_path / "found" / "diagnosis.html").read_text()
+    assert "slide 3" in page and "joint 3" not in page

@@ -5,14 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from rig import design_file
+from rig import cli, design_file
 from rig.mechanisms import planar
 from rig.plan import low_discrepancy
 from tests.loops import calibrated, holds, lines, rig, verified
 
 
-def recorded(folder, *words, plan="sobol:24", size="640x512"):
-    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--size", size, "--out", folder / "rig.toml")
+def recorded(folder, *words, plan="sobol:24", size="640x512", again=False):
+    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--size", size, "--out", folder / "rig.toml",
+        *(["--force"] if again else []))
     rig("simulate", folder / "rig.toml", "--plan", plan, "--seed", "3", *words, "--out", folder / "rec", "--truth", folder / "truth.json")
 
 
@@ -40,6 +41,18 @@ def test_four_samples_are_exact_where_they_were_taken(tmp_path, capfd):
     rig("verify", tmp_path / "calibration.json", tmp_path / "rec", "--json")
     found = json.loads(capfd.readouterr().out)
     assert found["after"]["position"]["max"] < 1e-9 < 1e-4 < found["before"]["position"]["rms"]
+
+
+def test_configurations_are_planned(tmp_path, capfd):
+    rig("design", "--mechanism", "planar2", "--radius", "0.3", "--cubes", "1", "--cameras", "2", "--out", tmp_path / "rig.toml")
+    rig("plan", tmp_path / "rig.toml", "--for", "parameters", "--count", "10", "--out", tmp_path / "plan.csv")
+    said = capfd.readouterr().out
+    rows = [line.split() for line in said.splitlines() if " um  " in line]
+    assert "10 configurations for 6 parameters" in said and len(rows) == 6 and all(float(row[0]) < float(row[1]) for row in rows)
+    recorded(tmp_path, plan=f"commands:{tmp_path / 'plan.csv'}", again=True)
+    calibrated(tmp_path, capfd)
+    assert cli.main(["plan", str(tmp_path / "rig.toml"), "--for", "parameters", "--count", "3", "--out", str(tmp_path / "few.csv")]) != 0
+    assert "3 configurations cannot determine 6 parameters" in capfd.readouterr().err
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def run(arguments: Namespace) -> None:
     out = arguments.outputs.folder(arguments.out)
 
     calibration = None if arguments.calibration is None else _known(arguments.calibration, recording, own)
-    diagnosed = _arm if recording.design.mechanism.kind == "arm" else _platform
+    diagnosed = _arm if recording.design.mechanism.kind in ("arm", "chain") else _platform
     _print(diagnosed(recording, arguments, Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())), out, progress))
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
@@ -106,14 +106,14 @@ def _said(arguments: Namespace) -> tuple[str, ...]:
 
 
 def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Path, progress: Progress) -> Report:
-    """Report of an arm's recording, written to a folder with its page."""
+    """Report of an arm's or a chain's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.diagnose import diagnose
     from calib.diagnose.report import arm
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
     if known.calibration is not None:
-        raise RigError("--calibration is for hexapods; an arm's geometry is always fitted to the recording")
+        raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
                     own=known.own)
     report = arm.report(found)

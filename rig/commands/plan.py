@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from calib.identify.d_optimal import Avoided
-    from rig.design import Arm, Design, Free, Hexapod, Planar2
+    from rig.design import Arm, Chain, Design, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
 MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
@@ -116,12 +116,12 @@ def _separate(arguments: Namespace) -> None:
     if seen:
         raise RigError(f"{', '.join(seen)} changes what is seen, not how the platform moves: no plan of moves tells it; see its own experiment in "
                        "rig diagnose's page")
-    if design.mechanism.kind not in ("hexapod", "arm"):
-        raise RigError(f"plans to separate effects are for hexapods and arms, not for a mechanism of kind {design.mechanism.kind!r}")
-    if design.mechanism.kind == "arm":
-        from calib.diagnose.problems.arm.separation import separation
-    else:
+    if not design.mechanism.axes:
+        raise RigError(f"plans to separate effects are for what is commanded, not for a mechanism of kind {design.mechanism.kind!r}")
+    if design.mechanism.kind == "hexapod":
         from calib.diagnose.problems.platform.separation import separation
+    else:
+        from calib.diagnose.problems.arm.separation import separation
     out = arguments.outputs.file(arguments.out)
     trials = []
     moves = [text for text in MOVES if design.mechanism.kind == "hexapod" or not text.startswith("axes")]
@@ -143,16 +143,17 @@ def _separate(arguments: Namespace) -> None:
 
 def _parameters(arguments: Namespace) -> None:
     from rig import design_file, writing
+    from rig.design import Free, Hexapod
 
     design = design_file.load(arguments.design)
     mechanism = design.mechanism
-    if mechanism.kind not in ("hexapod", "arm"):
-        raise RigError(f"plans for parameters are for hexapods and arms, not for a mechanism of kind {mechanism.kind!r}")
+    if isinstance(mechanism, Free):
+        raise RigError(f"plans for parameters are for what is commanded, not for a mechanism of kind {mechanism.kind!r}")
     if arguments.count < 1 or min(arguments.sigma) <= 0:
         raise RigError(f"--count and --sigma take positive numbers, got {arguments.count} and {arguments.sigma[0]:g} {arguments.sigma[1]:g}")
     out = arguments.outputs.file(arguments.out)
-    if mechanism.kind == "arm":
-        return _of_arm(arguments, design, mechanism, out)
+    if not isinstance(mechanism, Hexapod):
+        return _of_any(arguments, design, mechanism, out)
 
     from calib.identify.d_optimal import choose
     from calib.identify.observability import PLAUSIBLE, combinations
@@ -182,11 +183,11 @@ def _parameters(arguments: Namespace) -> None:
     print(f"written: {arguments.out}")
 
 
-def _of_arm(arguments: Namespace, design: Design, arm: Arm, out: Any) -> None:
-    """Write the configurations that tell most of an arm's parameters, of those in which cameras see it."""
+def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Planar2, out: Any) -> None:
+    """Write the configurations that tell most of a machine's parameters, of those in which cameras see it."""
     from functools import partial
 
-    from calib.arms.informative import choose
+    from calib.informative import FEWEST, choose
     from rig import writing
     from vision.predict import shown
     from vision.targets import marker_map
@@ -195,11 +196,13 @@ def _of_arm(arguments: Namespace, design: Design, arm: Arm, out: Any) -> None:
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
     looked = partial(shown, design.cameras, markers=marker_map(design)) if design.cameras and design.targets else None
     progress = Progress()
-    found = choose(arm, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
+    found = choose(mechanism, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
-    writing.write_configurations(out, arm.axes, found.q)
+    writing.write_configurations(out, mechanism.axes, found.values)
     if looked is not None:
-        print(f"markers are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
+        print(f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
+    if found.untold:
+        print(f"{found.untold} combinations of them no pose tells: they stay as stated, and are left aside here")
     print(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least gain first:")
     worst = (found.sigma / found.even).argsort()[::-1]
     for k in worst[:SHOWN]:

@@ -20,10 +20,10 @@ from rig.effects.drawing import Drawing, value
 from rig.effects.grid import grid, step
 from rig.effects.motion import SOON, Motion, Path
 from rig.effects.parameter import Parameter
+from rig.effects.places import AXES, axis_word, kind_of
 from rig.errors import RigError
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
-AXES = ("strut", "joint", "slide")  # what "axis" stands for among an effect's places
 MOTION_STAGES = ("command", "struts", "structure")
 AT_REST = 1e-9  # m/s or rad/s
 SELDOM = 0.25  # share of draws in which an effect that may start at a moment does so
@@ -167,17 +167,22 @@ class Effect:
         if cls.moving and np.abs(context.moved().path.speed).max(initial=0.0) < AT_REST:
             raise RigError("every exposure was taken at rest")
         found = tuple(place for kind in cls.places for place in cls._of_kind(kind, context))
-        if commanded and found:
-            reason = cls(found[0]).needs(context.moved())
-            if reason:
-                raise RigError(f"{cls.name} {reason}")
-        return found
+        lacking = cls.lacking(context) if commanded else {}
+        if found and len(lacking) == len(found):
+            raise RigError(f"{cls.name} {lacking[found[0]]}")
+        return tuple(place for place in found if place not in lacking)
+
+    @classmethod
+    def lacking(cls, context: Context) -> dict[str, str]:
+        """{place: why not} of the axes, or the rig, at which it cannot be asked for, for what the recording lacks there: a slide without a lead."""
+        places = (place for kind in cls.places for place in cls._of_kind(kind, context))
+        return {place: reason for place in places if (reason := cls(place).needs(context.moved()))}
 
     @classmethod
     def _of_kind(cls, kind: str, context: Context) -> tuple[str, ...]:
         if kind == "axis":
             return context.moved().places
-        if kind == "rig" and "axis" in cls.places and context.moved().kind.AXIS == "joint":
+        if kind == "rig" and "axis" in cls.places and context.moved().kind.AXIS != "strut":
             return ()  # joints differ: that all of them do the same is nobody's physics
         if kind == "cameras":
             return ("cameras",) if len(context.design.cameras) > 1 else ()
@@ -249,8 +254,8 @@ class Effect:
     @classmethod
     def experiment_at(cls, place: str) -> str:
         """What would expose it at a place, in words."""
-        joint = place.startswith("joint")
-        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis=_word(place))
+        joint = kind_of(place) == "joint"
+        return (cls.joint_experiment if joint and cls.joint_experiment else cls.experiment).format(axis=axis_word(place))
 
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
@@ -261,7 +266,7 @@ class Effect:
     @classmethod
     def action_at(cls, place: str) -> str:
         """What an owner can do about it at a place, in a sentence."""
-        return cls.action.format(axis=_word(place))
+        return cls.action.format(axis=axis_word(place))
 
     @classmethod
     def label(cls) -> str:
@@ -279,19 +284,13 @@ class Effect:
     def at(self, kind: str) -> bool:
         """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
         whole = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}
-        return self.place == kind or self.place == whole.get(kind.split(" ")[0])
+        return self.place == kind or self.place == whole.get(kind_of(kind))
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
         """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
-        if self.place.split(" ")[0] in AXES and self.place not in places:
+        if kind_of(self.place) in AXES and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
         return np.array([float(self.at(place)) for place in places])
-
-
-def _word(place: str) -> str:
-    """What the axis of a place is called: "strut", "joint" or "slide"."""
-    word = place.split(" ")[0]
-    return word if word in AXES else "strut"
 
 
 __all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",

@@ -27,7 +27,7 @@ class BaseExpansion(Effect):
     on_pose: ClassVar = True
 
     def needs(self, motion: Motion) -> str | None:
-        if motion.kind.AXIS == "joint":
+        if motion.kind.AXIS != "strut":
             return "takes struts on a base plate"
         return motion.no_channel(AMBIENT)
 

@@ -5,6 +5,7 @@ import re
 import numpy as np
 
 from rig.effects.base import AXES, Effect
+from rig.effects.places import NUMBER, kind_of, staged
 from rig.entries import NAME
 from rig.outside import shown
 
@@ -13,12 +14,11 @@ MOST = 1000  # numbers of a parameter of any length
 
 def check(effect: Effect) -> Effect:
     """The effect itself. Raises ValueError for a place it cannot sit at or a parameter out of bounds."""
-    kind = effect.place.split(" ")[0]
+    kind = kind_of(effect.place)
     if kind not in effect.places and not ("axis" in effect.places and kind in AXES):
         raise ValueError(f"{effect.name} cannot sit at {effect.place!r}; it takes {', '.join(effect.places)}")
-    number = "[1-9][0-9]{0,8}"
-    name = {**dict.fromkeys(AXES, number), "marker": f"0|{number}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
-    if name is not None and not re.fullmatch(f"{kind} (?:{name})", effect.place) or name is None and kind != effect.place:
+    name = {**dict.fromkeys(AXES, NUMBER), "marker": f"0|{NUMBER}", "camera": NAME.pattern, "target": NAME.pattern}.get(kind)
+    if name is not None and not re.fullmatch(f"{kind} (?:{name})", staged(effect.place)[1]) or name is None and kind != effect.place:
         raise ValueError(f"{effect.name}: which {kind}? write for example '{kind} {'1' if kind in (*AXES, 'marker') else 'name'}'")
     for parameter in effect.parameters_at(effect.place):
         value = np.atleast_1d(np.asarray(getattr(effect, parameter.name), float))

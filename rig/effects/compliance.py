@@ -9,6 +9,7 @@ from scipy.linalg import qr
 from rig.effects.base import Candidate, Context, Effect, Linear, Motion, Parameter
 from rig.effects.covariate import Covariate, load
 from rig.effects.drawing import Drawing, log_uniform, value
+from rig.effects.places import kind_of
 from rig.errors import RigError
 
 FAINT = 5e-3  # m/s^2 m; a link's weight that turns a joint by less bends nothing
@@ -69,7 +70,7 @@ class Compliance(Effect):
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
         turn = values.get("rms", 0.0)
         if turn > GIVES:
-            words = f"turn by {turn * 1e3:.2g} mrad" if place.startswith("joint") else f"move by {turn * 1e3:.2g} mm"
+            words = f"turn by {turn * 1e3:.2g} mrad" if kind_of(place) == "joint" else f"move by {turn * 1e3:.2g} mm"
             return (f"{place} would {words} RMS under its load, ten times what gears and bearings give: something else may "
                     "hide behind it")
         return super(Compliance, cls).unusual(place, values)
@@ -118,5 +119,7 @@ def by_links(context: Context) -> tuple[str, ...]:
 
 def distinct(table: np.ndarray) -> np.ndarray:
     """Indices of the columns of a joint's table (n, c) that others do not make up, and that the weight turns; a constant is the joint's zero."""
+    if not table.shape[1]:
+        return np.zeros(0, int)
     _, r, order = qr((table - table.mean(axis=0)) / np.sqrt(len(table)), mode="economic", pivoting=True)
     return np.sort(order[: int((np.abs(np.diag(r)) > max(FAINT, RANK * np.abs(r[0, 0]))).sum())])

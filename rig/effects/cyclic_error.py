@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.effects.base import Candidate, Context, Effect, Motion, Parameter
 from rig.effects.covariate import Covariate
+from rig.effects.places import kind_of
 
 FINE = 0.3  # step of a joint's orders, of what its travel resolves
 ORDERS = 450.0  # cycles per turn of a joint; twice what a gear of 1 : 101 with four cycles per motor turn shows
@@ -50,7 +51,7 @@ class CyclicError(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         found = super(CyclicError, cls).candidates(place, context)
-        if not place.startswith("joint"):
+        if kind_of(place) != "joint":
             return found
         travel = max(np.ptp(context.moved().lengths[:, context.moved().places.index(place)]), 1e-6)
         spacing = FINE * 2 * np.pi / travel

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+from rig.effects.places import kind_of
+
 TURNED = {"m": "rad", "N/m": "N m/rad"}  # units of a strut's and of a joint's axis
 
 FAR = 10.0  # times what rigs show, from which a size is said to be unusual
@@ -44,6 +46,6 @@ class Parameter:
 
     def at(self, place: str) -> "Parameter":
         """The same as it is at a place: in rad in place of m at a joint."""
-        if self.joint is None or not place.startswith("joint"):
+        if self.joint is None or kind_of(place) != "joint":
             return self
         return replace(self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from rig import mechanisms
-from rig.design import Design
+from rig.design import Chain, Design
 from rig.effects import BY_NAME
 from rig.effects.base import AXES, Effect
 from rig.effects.check import check
+from rig.effects.places import spelt, staged
 from rig.entries import NAME, slip
 from rig.errors import RigError
 from rig.outside import shown
@@ -52,6 +53,9 @@ def _place(text: str, kind: type[Effect]) -> str:
     kinds = [*kind.places, *(AXES if "axis" in kind.places else ())]
     if text in kinds or any(re.fullmatch(rf"{place} \S+", text) for place in kinds):
         return text
+    of_stage = spelt(text, kind.places)
+    if of_stage is not None:
+        return of_stage
     for place in (*AXES, "camera", "marker", "target"):
         if place in kinds:
             rest = re.fullmatch(rf"(?:{place})?[ _]?({'[0-9]+' if place in (*AXES, 'marker') else NAME.pattern})", text)
@@ -124,14 +128,19 @@ def site(text: str, design: Design, known: Kinds = BY_NAME) -> tuple[str, str]:
 
 def placed(effect: Effect, design: Design) -> Effect:
     """The effect itself; at an arm's slide that is called a joint, at the slide. Raises RigError where a design has no such place."""
-    kind, _, name = effect.place.partition(" ")
+    stage, own = staged(effect.place)
+    kind, _, name = own.partition(" ")
     places = mechanisms.places(design.mechanism)
-    if kind == "joint" and f"slide {name}" in places:
+    if kind == "joint" and f"{stage}slide {name}" in places:
         try:
-            return check(replace(effect, place=f"slide {name}"))
+            return check(replace(effect, place=f"{stage}slide {name}"))
         except ValueError as error:
             raise RigError(str(error)) from None
-    axes = [place.split(" ") for place in places]
+    if kind in AXES and isinstance(design.mechanism, Chain) and effect.place not in places:
+        near = slip(effect.place, places)
+        raise RigError(f"{effect.name} at {effect.place}: this rig has no such axis" + (f"; is {near!r} meant?" if near else "")
+                       + f"; it has {', '.join(places)}")
+    axes = [staged(place)[1].split(" ") for place in places]
     there = {**{word: [name for own, name in axes if own == word] for word in AXES}, "camera": [c.name for c in design.cameras],
              "target": [t.name for t in design.targets], "marker": [str(i) for t in design.targets for i in t.ids]}
     asked = [(kind, name)] if name and kind in there else []

@@ -31,7 +31,7 @@ class ThermalExpansion(Effect):
         return self._grown(motion)[0]
 
     def sway(self, motion: Motion) -> np.ndarray:
-        return self._grown(motion)[1] if motion.kind.AXIS == "joint" else np.zeros((len(motion.t), 6))
+        return self._grown(motion)[1] if motion.kind.AXIS != "strut" else np.zeros((len(motion.t), 6))
 
     def _grown(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         share = np.zeros(motion.lengths.shape)

@@ -10,8 +10,9 @@ from rig.effects.base import COUNT, Candidate, Context, Effect, Linear, Motion, 
 from rig.effects.covariate import Covariate, travel
 from rig.effects.drawing import Drawing, log_uniform
 from rig.effects.grid import step
+from rig.effects.places import kind_of
 
-KNOTS = (5, 9, 14)  # of a strut's profile
+KNOTS = (5, 9, 14)  # of a strut's profile, or a slide's
 SPACINGS = (1.0, 0.5, 0.25, 0.12, 0.07, 0.05, 0.035)  # rad between knots of a joint's profile
 FEWEST = 4  # knots
 SHARE = 0.125  # of the exposures: more knots than that are no profile
@@ -59,11 +60,12 @@ class TransmissionError(Effect):
     @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         p = cls.parameters[0].at(place)
-        if not place.startswith("joint"):
+        if place.startswith("strut"):
             return [cls._of(place, {COUNT: count}, p) for count in KNOTS]
         q = context.moved().lengths[:, context.moved().places.index(place)]
         span = (float(q.min()), float(max(q.max(), q.min() + 1e-6)))
-        counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS})
+        counts = sorted({max(FEWEST, int(np.ceil((span[1] - span[0]) / spacing)) + 1) for spacing in SPACINGS}
+                        ) if kind_of(place) == "joint" else list(KNOTS)
         return [cls._of(place, {COUNT: count, "span": span}, p) for count in counts if count <= SHARE * len(q)]
 
     @classmethod

@@ -57,7 +57,9 @@ def report(d: ArmDiagnosis) -> Report:
 
 def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
     """For each joint, what each finding brings where whole regions of its travel are held out: misfit before and after, m, and standard errors."""
-    return [{"joint": j + 1, "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
+    places = mechanisms.places(d.arm)
+    return [{"joint": j + 1, "place": places[j],
+             "findings": [{"heldout_before": v.before, "heldout_after": v.after, "gain_sigma": v.gain} for v in row]}
             for j, row in enumerate(d.regions)]
 
 

@@ -96,7 +96,7 @@ class ArmView:
             candidate = d.fit.terms[finding.number].candidate
             found = [d.cross_validations[i], *(row[i] for row in d.regions)]
             rows.append([f"{candidate.name.replace('_', ' ')} at {candidate.place}", *(f"{(v.before - v.after) * 1e6:+.1f}" for v in found)])
-        joints = [f"joint {j + 1}" for j in range(len(d.regions))]
+        joints = mechanisms.places(d.arm)[: len(d.regions)]
         said = note("µm, RMS of a position per axis, by which poses are predicted better with it than without. A curve of a joint's own angle is "
                     "not told where that joint never stood: there, what it brings by that joint's own regions may be a loss.")
         return table(("finding", "held out: time", *joints), rows) + said

@@ -76,6 +76,7 @@ def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], li
             continue
         try:
             found = kind.sites(arms.context)
+            skipped += _lacking(kind, found, arms)
             if found and any(p.role == "frequency" for p in kind.parameters):
                 raise RigError(f"{kind.name}: an arm's poses are searched for no frequency")
             sites[kind.name] = found
@@ -88,6 +89,15 @@ def joint_candidates(arms: Arms, asked: Asked) -> tuple[list[JointCandidate], li
             skipped.append(NotAsked(kind.name, str(error)))
     asked.check(sites)
     return out, [s for s in skipped if asked.name(s.effect)]
+
+
+def _lacking(kind: type[Effect], found: tuple[str, ...], arms: Arms) -> list[NotAsked]:
+    """What keeps an effect from being asked for at some of the axes, where it can be at others."""
+    why: dict[str, list[str]] = {}
+    for place, reason in kind.lacking(arms.context).items():
+        if found and place not in found:
+            why.setdefault(reason, []).append(place)
+    return [NotAsked(kind.name, f"at {', '.join(places)} it {reason}") for reason, places in why.items()]
 
 
 def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCandidate]:

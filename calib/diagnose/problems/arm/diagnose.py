@@ -1,4 +1,4 @@
-"""An arm's recording -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, and what nobody can name."""
+"""A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, what has no name."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,8 +6,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from calib.arms.identify import Identified
-from calib.arms.model import moved
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
 from calib.diagnose.engine.given import UNSAID, Given
@@ -20,13 +18,13 @@ from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candida
 from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
-from calib.diagnose.problems.arm.poses import Arms, arms_of
+from calib.diagnose.problems.arm.poses import Arms, Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
-from rig.design import Arm
+from rig.design import Arm, Chain
 from rig.effects import ALL
 from rig.effects.base import Effect
 from rig.effects.plugin import Plugin
@@ -53,7 +51,7 @@ class HeldOutPoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; arm : Arm as its geometry was fitted beside the findings
+    """recording : its name; source : of the poses; arms : Arms; arm : Arm or Chain, its geometry fitted beside the findings
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
     regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
@@ -64,7 +62,7 @@ class ArmDiagnosis:
     recording: str
     source: str
     arms: Arms
-    arm: Arm
+    arm: Arm | Chain
     before: Fit
     fit: Fit
     findings: list[Finding]
@@ -86,7 +84,7 @@ class ArmDiagnosis:
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
              given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL) -> ArmDiagnosis:
-    """ArmDiagnosis of a Recording of an arm. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
+    """ArmDiagnosis of a Recording of an arm or a chain. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
     given : what is in from the start; kinds : the catalogue, with what a user adds to it
 
     Raises NotEnoughData where too little was measured, and what calibrating raises
@@ -98,21 +96,20 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     return replace(done, origin=recording.origin, parts=recording.parts)
 
 
-def diagnosed(arms: Arms, found: Identified, name: str, source: str, asked: Asked, progress: Progress | None = None,
+def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked, progress: Progress | None = None,
               coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
-    """ArmDiagnosis of Arms linear about the Arm that was Identified; coarse : whether long stretches are held out as well."""
+    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well."""
     candidates, not_asked = joint_candidates(arms, asked)
     problem = ArmProblem(arms, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
     chosen = selection.fit
     held = nested(arms, candidates, (FINE, COARSE) if coarse else (FINE,), progress, given)
-    again, step = repeats(chosen), np.zeros(len(found.free))
-    step[found.free] = chosen.theta[: found.free.sum()]
+    again, fitted = repeats(chosen), found.at(chosen.theta[: found.basis.shape[1]])
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
     before, cluster = fit(arms), problem.policy.cluster
-    return ArmDiagnosis(name, source, arms, moved(found.arm, step), before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
+    return ArmDiagnosis(name, source, arms, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
                         again, lack_of_fit(chosen, again, cluster), regions, covariates(before, chosen, cluster), given=given)
 
 

@@ -1,25 +1,34 @@
-"""An arm's poses as measured, linear about its calibrated geometry: what that leaves, and how it changes with joints and freedoms."""
+"""Poses of an arm, or of a chain of mechanisms, as measured, linear about its calibrated geometry: what that leaves, and how it changes with
+joints and freedoms."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from calib.arms import model
 from calib.arms.certify import calibrate
-from calib.arms.identify import Identified
 from calib.arms.observations import of_samples
+from calib.chains import model as chains
+from calib.chains.identify import identify
 from calib.samples import Samples
 from rig import machine
-from rig.design import Arm, Design
+from rig.design import Arm, Chain, Design
 from rig.effects.base import Context, Effect
 from rig.errors import NotEnoughData, RigError
+from rig.kinds import arm_of, chain_of
+from rig.mechanisms import chain as mechanism
+from rig.pose import difference
 from rig.recording import Commands, Sensors
 
 FEWEST = 60  # poses
+SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arms:
-    """What is known of n poses of an arm. frame : (n,); t : (n,) s; q : (n, joints) rad, commanded; left : (n, k) m and rad, what
+    """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded; left : (n, k) m and rad, what
     the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints)
     with the angles; own : (n, k, k) the instrument's covariance; commands : the whole path; context : what effects may look at"""
 
@@ -55,24 +64,61 @@ class Arms:
         return {} if sensors is None else {name: sensors.at(self.t, name) for name in sensors.channels}
 
 
-def arms_of(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None) -> tuple[Arms, Identified]:
-    """(Arms, Identified) of Samples: calibrated, and linear about it.
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """What calibration fitted. mechanism : Arm or Chain; basis : (p, f) m and rad, what one of each freedom is of the parameters
+    move : (p,) step -> the mechanism with its parameters moved"""
 
-    design : whose mechanism is the nominal Arm; commands : the whole path; the samples' own commands in their order where None
-    Raises NotEnoughData for too few poses, RigError for what is no arm, and what calibrating raises
+    mechanism: Arm | Chain
+    basis: np.ndarray
+    move: Callable[[np.ndarray], Arm | Chain]
+
+    def at(self, sizes: np.ndarray) -> Arm | Chain:
+        """The mechanism with its freedoms moved by sizes (f,)."""
+        return self.move(self.basis @ sizes)
+
+
+def arms_of(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None) -> tuple[Arms, Geometry]:
+    """(Arms, Geometry) of Samples: calibrated, and linear about it.
+
+    design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their order where None
+    Raises NotEnoughData for too few poses, RigError for what is neither, and what calibrating raises
     """
     if len(samples) < FEWEST:
-        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm; it takes {FEWEST}, better 500")
+        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {FEWEST}, better 500")
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
-    if not isinstance(design.mechanism, Arm):
-        raise RigError(f"this takes an arm, not a mechanism of kind {design.mechanism.kind!r}")
-    _, found = calibrate(samples, design.mechanism, design.instrument, profiles=False)
-    observations = of_samples(samples)
-    freedoms = np.concatenate([observations.jacobian(found.arm)[..., found.free], observations.common], axis=2)
+    linear = _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None
+    if linear is None:
+        raise RigError(f"this takes an arm or a chain, not a mechanism of kind {design.mechanism.kind!r}")
+    geometry, left, freedoms, joints, own = linear(samples, design)
     commands = Commands(samples.t, samples.commanded) if commands is None else commands
-    design = replace(design, mechanism=found.arm)
+    design = replace(design, mechanism=geometry.mechanism)
     motion = replace(machine.motion(design, commands, samples.t, (), sensors), T=samples.T_base_platform)
     context = Context(design, samples.t, sensors, motion)
-    return Arms(samples.frame, samples.t, samples.commanded, observations.residuals(found.arm), freedoms, observations.joint_jacobian(found.arm),
-                observations.covariance, commands, context), found
+    freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
+    return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
+
+
+Linear = tuple[Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # with what is left, freedoms, joints and own of Arms
+
+
+def _of_arm(samples: Samples, design: Design) -> Linear:
+    """Linear about an arm: its independent parameters are the freedoms."""
+    _, found = calibrate(samples, arm_of(design.mechanism), design.instrument, profiles=False)
+    observations, free = of_samples(samples), found.free
+    return (Geometry(found.arm, np.eye(len(free))[:, free], partial(model.moved, found.arm)), observations.residuals(found.arm),
+            observations.jacobian(found.arm)[..., free], observations.joint_jacobian(found.arm), observations.covariance)
+
+
+def _of_chain(samples: Samples, design: Design) -> Linear:
+    """Linear about a chain: the combinations of all stages' parameters that poses tell at all are the freedoms, in plausible sizes."""
+    nominal = chain_of(design.mechanism)
+    chain, sigma = identify(samples, nominal).chain, chains.prior(nominal)
+    J = chains.parameter_jacobian(samples.commanded, chain) * sigma
+    white = np.linalg.inv(np.linalg.cholesky(samples.covariance)) @ J
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", white, white))
+    told = vectors[:, values > SEEN**2 * values[-1]]
+    left = difference(mechanism.forward(samples.commanded, chain), samples.T_base_platform)
+    geometry = Geometry(chain, sigma[:, None] * told, partial(chains.moved, chain))
+    return geometry, left, J @ told, mechanism.jacobian(samples.commanded, chain), samples.covariance

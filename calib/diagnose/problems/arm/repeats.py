@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from calib.diagnose.problems.arm.fit import Fit
 
-SAME = 1e-3  # rad; commands nearer than this in every joint are one command
+SAME = {"rad": 1e-3, "m": 1e-5}  # commands nearer than this in every axis are one command
 FEWEST = 12  # pairs
 
 
@@ -32,7 +32,8 @@ def repeats(fit: Fit) -> Repeats | None:
     part that both share is repeatable and not explained.
     """
     used = np.flatnonzero(fit.used & ~fit.aside)
-    pairs = np.array(sorted(cKDTree(fit.arms.q[used]).query_pairs(SAME, p=np.inf)), int).reshape(-1, 2)
+    apart_by = np.array([SAME[unit] for unit in fit.arms.context.moved().units])
+    pairs = np.array(sorted(cKDTree(fit.arms.q[used] / apart_by).query_pairs(1.0, p=np.inf)), int).reshape(-1, 2)
     if len(pairs) < FEWEST:
         return None
     one, two = fit.left[used[pairs[:, 0]]], fit.left[used[pairs[:, 1]]]

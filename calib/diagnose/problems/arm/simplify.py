@@ -30,7 +30,7 @@ def opened(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
         if (candidate.name, candidate.joint) in has or (candidate.form is Form.SLOPE and candidate.joint in profiled):
             continue
         if candidate.form is Form.SINUSOID and candidate.joint in profiled:
-            finest = resolved(profiles[candidate.joint]) if candidate.joint in profiles else 0.0
+            finest = resolved(profiles[candidate.joint], now) if candidate.joint in profiles else 0.0
             candidate = replace(candidate, grid=[node for node in candidate.grid if node[candidate.sought] > finest])
         for one in cycles:
             if candidate.step and one.candidate.joint == candidate.joint:
@@ -41,11 +41,12 @@ def opened(now: Fit, candidates: list[JointCandidate]) -> list[JointCandidate]:
     return out
 
 
-def resolved(profile: JointCandidate) -> float:
-    """The order of the fastest sinusoid that a profile's finest knots can follow."""
+def resolved(profile: JointCandidate, now: Fit) -> float:
+    """The order, per turn of what drives the axis, of the fastest sinusoid that a profile's finest knots can follow."""
     finest = max(profile.grid, key=lambda node: node[COUNT])
     low, high = finest[SPAN]
-    return np.pi * (finest[COUNT] - 1) / max(high - low, 1e-9)
+    turn = now.arms.context.moved().turn()[profile.joint]
+    return float((finest[COUNT] - 1) / max(high - low, 1e-9) * turn / 2)
 
 
 def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | None, policy: SelectionPolicy, given: Given = UNSAID) -> Fit:
@@ -54,7 +55,7 @@ def gathered(now: Fit, candidates: list[JointCandidate], train: np.ndarray | Non
     train : (n,) bool, or None for all
     """
     for candidate in [c for c in candidates if c.form is Form.PROFILE]:
-        reach = resolved(candidate)
+        reach = resolved(candidate, now)
         cycles = [i for i, t in enumerate(now.terms) if not given.holds(t.candidate) and t.candidate.joint == candidate.joint
                   and t.candidate.form in OWN_ANGLE
                   and (t.candidate.form is not Form.SINUSOID or t.node[t.candidate.sought] < reach)]

@@ -1,0 +1,79 @@
+"""Which configurations determine a machine's parameters best, of those in which it is seen (D-optimal, by exchange)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.freedoms import freedoms
+from calib.identify.d_optimal import exchanged
+from rig import mechanisms
+from rig.configurations import low_discrepancy
+from rig.design import Arm, Chain, Planar2
+from rig.errors import NotConverged, RigError
+
+CANDIDATES = 1500
+FILL = 0.95  # of the travels
+TOLD = 4.0  # information, that of the prior being 1, from which a combination of parameters is told
+FEWEST = 2  # markers of what moves that a configuration must show
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Informative:
+    """values : (n, axes) m or rad, chosen; names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
+    these, and by as many spread evenly, along what these tell at all; untold : how many combinations keep half of what they may be off by or more
+    seen : share of all configurations tried in which the machine is seen"""
+
+    values: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sigma: np.ndarray
+    even: np.ndarray
+    untold: int
+    seen: float
+
+
+def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, float], shown: Callable[[RigidTransform], np.ndarray] | None = None,
+           seed: int = 0, progress: Callable[[int, int], None] | None = None) -> Informative:
+    """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
+
+    shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere; progress : called with (done, of)
+    Raises RigError for too few configurations to hold the parameters, or where too few candidates are seen
+    """
+    values, T = _closing(low_discrepancy(mechanisms.of(mechanism).travel(mechanism), CANDIDATES, FILL, seed), mechanism)
+    seen = np.ones(len(values), bool) if shown is None else shown(T) >= FEWEST
+    asked = freedoms(mechanism)
+    size = asked.size
+    if not seen.any():
+        raise RigError(f"in none of {len(values)} configurations all over the limits {FEWEST} markers are seen whole: turn the cameras")
+    rows = asked.jacobian(values[seen]) / np.repeat(sigmas, 3)[:, None] * size
+    told = int(rows.any(axis=2).any(axis=0).sum())  # numbers of a pose that the parameters move at all
+    if told * count <= len(size):
+        raise RigError(f"{count} configurations cannot determine {len(size)} parameters; it takes {len(size) // told + 1}, better "
+                       f"{3 * len(size) // told}")
+    if seen.sum() < 2 * count:
+        raise RigError(f"in {seen.sum()} of {len(values)} configurations all over the limits {FEWEST} markers are seen whole; choosing {count} takes "
+                       "more: narrow the limits, or turn the cameras")
+    start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
+    picked = exchanged(rows, start, count, "determinant", progress)
+    even = np.linspace(0, len(rows) - 1, count).astype(int)
+    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + _sum(rows[picked]))
+    sharp = vectors[:, told_by > TOLD]
+    sigma, plain = (size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + _sum(rows[chosen])) @ sharp, sharp))
+                    for chosen in (picked, even))
+    return Informative(values[seen][picked], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))
+
+
+def _closing(values: np.ndarray, mechanism: Arm | Chain | Planar2) -> tuple[np.ndarray, RigidTransform]:
+    """(those of the values (n, axes) that close on a pose, their poses)."""
+    while True:
+        try:
+            return values, mechanisms.of(mechanism).forward(values, mechanism)
+        except NotConverged as error:
+            values = np.delete(values, error.index, axis=0)
+
+
+def _sum(rows: np.ndarray) -> np.ndarray:
+    flat = rows.reshape(-1, rows.shape[-1])
+    return flat.T @ flat
