@@ -16,16 +16,18 @@ if TYPE_CHECKING:
 
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
+SEEN = ("tum", "parquet")  # of a recording
 FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has it")
-    parser.add_argument("--format", choices=(*FORMATS, *TABLES, *CAMERAS), required=True, help="genhexkins: HAL settings of LinuxCNC; "
+    parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has "
+                        "it; for tum and parquet a recording")
+    parser.add_argument("--format", choices=(*FORMATS, *TABLES, *CAMERAS, *SEEN), required=True, help="genhexkins: HAL settings of LinuxCNC; "
                         "urdf: of an arm; linuxcnc-comp: what goes on top of genhexkins, a file for each joint in the folder OUT; "
                         "grid: a CSV of what is to be added to the owner's model; camera-info, opencv: lenses of a rig.toml, a YAML file for each "
-                        "camera in the folder OUT")
+                        "camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording or of what `rig measure` wrote")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
@@ -43,8 +45,8 @@ def run(arguments: Namespace) -> None:
     if arguments.format in TABLES:
         _tables(arguments)
         return
-    if arguments.format in CAMERAS:
-        _cameras(arguments)
+    if arguments.format in CAMERAS or arguments.format in SEEN:
+        (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return
     from rig.export import genhexkins, geometry, urdf
     from rig.files import write_text
@@ -124,6 +126,30 @@ def _cameras(arguments: Namespace) -> None:
     for name, text in texts.items():
         write_text(folder / f"{name}.yaml", text)
     print(f"written: {arguments.out}: {', '.join(f'{name}.yaml' for name in texts)}")
+
+
+def _seen(arguments: Namespace) -> None:
+    """Write the poses or the tables of a recording."""
+    from rig import recording as recordings
+    from rig.export import trajectory
+    from rig.files import write_bytes, write_text
+
+    found = recordings.load(arguments.machine)
+    if arguments.format == "tum":
+        text = trajectory.tum(found)
+        if arguments.out is None:
+            print(text, end="")
+            return
+        write_text(arguments.outputs.file(arguments.out), text)
+        print(f"{len(text.splitlines()) - 1} poses; written: {arguments.out}")
+        return
+    if arguments.out is None:
+        raise RigError("parquet takes --out DIR")
+    files = trajectory.parquet(arguments.machine)
+    folder = arguments.outputs.folder(arguments.out)
+    for name, data in files.items():
+        write_bytes(folder / f"{name}.parquet", data)
+    print(f"written: {arguments.out}: {', '.join(f'{name}.parquet' for name in files)}")
 
 
 def _machine(path: Path) -> tuple[Mechanism, list[int], float | None]:

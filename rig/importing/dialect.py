@@ -8,8 +8,10 @@ from pathlib import Path
 from rig.entries import LARGEST_NUMBER
 from rig.errors import FileError
 from rig.importing.ambiguous import ambiguous
+from rig.importing.headless import clocked, headed
 from rig.importing.recipe import DECIMALS, SEPARATORS, ForeignTable
 from rig.outside import read_bytes, shown
+from rig.parquet_file import cells, is_parquet
 
 LARGEST = 1 << 27  # bytes
 COMMENTS = ("#", "%", "//")
@@ -54,8 +56,12 @@ def read(table: ForeignTable, name: str) -> Cells:
 
     Raises FileError for what is no table, RigError for one that reads well in two ways
     """
+    if is_parquet(table.file):
+        header, rows = clocked(table, *cells(table.file))
+        return Cells(table.file, header, rows, list(range(1, len(rows) + 1)), table, ())
     content, words = _decoded(table.file)
-    lines = _lines(table.file, content)
+    with_header = headed(table, name, _lines(table.file, content, table.header is None))
+    lines, table, words = with_header.lines, with_header.table, (*words, *with_header.said)
     fits = _fitting(table, lines)
     if not fits:
         whole = _fitting(table, lines[:-1]) if len(lines) > 2 else []
@@ -76,7 +82,8 @@ def read(table: ForeignTable, name: str) -> Cells:
             (f"{one.table.separator}s between, decimal {one.table.decimal}s: {', '.join(one.rows[0][:4])}", setting(one))
             for one in (first, *others)])
     _no_groups(table, first, lines, name)
-    return Cells(first.path, first.header, first.rows, first.lines, first.table, (*words, *first.said))
+    header, rows = clocked(table, first.header, first.rows)
+    return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
 
 
 def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:
@@ -102,8 +109,8 @@ def _decoded(path: Path) -> tuple[str, tuple[str, ...]]:
     return content, (f"{path.name} is taken as Windows-1252 text, as it is no UTF-8",)
 
 
-def _lines(path: Path, content: str) -> list[tuple[int, str]]:
-    """(number, text) of the header and the rows; a header in the last comment before figures counts."""
+def _lines(path: Path, content: str, commented: bool) -> list[tuple[int, str]]:
+    """(number, text) of the header and the rows. commented : whether a header in the last comment before figures counts"""
     if "\0" in content:
         raise FileError(path, "is no text: it holds a NUL byte")
     lines, comment = [], None
@@ -116,7 +123,7 @@ def _lines(path: Path, content: str) -> list[tuple[int, str]]:
             lines.append((number, bare))
         elif not lines:
             comment = (number, bare[len(mark):].strip(" "))
-    if lines and comment and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1])):
+    if lines and comment and commented and not re.search(r"[A-Za-z]{2}|^[A-Za-z]", re.sub(r"[eE][+-]?\d|\dT\d", "", lines[0][1])):
         lines.insert(0, comment)  # as numpy.savetxt writes its header
     if len(lines) < 2:
         raise FileError(path, "has no header line with rows below it")
@@ -127,6 +134,8 @@ def _parsed(table: ForeignTable, lines: list[tuple[int, str]], separator: str, d
     """Cells as one dialect has them, or None where it does not fit all rows."""
     try:
         rows = [_split(line, separator) for _, line in lines[: LOOKED_AT + 1]]
+        if table.header is not None:
+            rows[0] = table.header.replace(",", " ").split()
         if not _fit(rows, decimal):
             return None
         rows += [_split(line, separator) for _, line in lines[LOOKED_AT + 1:]]

@@ -20,7 +20,7 @@ TIMES = ("s", "ms", "us", "ns", "iso")
 ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
 EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
 TABLES = ("commands", "poses", "sensors", "frames")
-NUMBERS = ("steps_per_mm", "shift", "tolerance")
+NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,8 @@ class ForeignTable:
     """One foreign table. None : not stated, to be found out; columns : pairs (our name, their header)
 
     relative : "zero" for lengths joint to joint, "home" for lengths from home; shift : s added to its times; zone : as +01:00, of ISO
-    times without one; unit : of lengths or angles whose header states none
+    times without one; unit : of lengths or angles whose header states none; header : names of columns, of a file without; period : s between rows,
+    or between the samples that a column `sample` counts, of one without times
     """
 
     file: Path
@@ -42,6 +43,8 @@ class ForeignTable:
     steps_per_mm: float | None = None
     rotation: str | None = None
     rotation_unit: str | None = None
+    header: str | None = None
+    period: float | None = None
     columns: tuple[tuple[str, str], ...] = ()
 
 
@@ -174,7 +177,8 @@ def _foreign_table(e: Entries, folder: Path) -> ForeignTable:
     return ForeignTable(folder / e.text("file"), e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
                  e.text("time_unit", TIMES, None), e.text("zone", default=None), e.number("shift", 0.0), e.text("unit", tuple(ALL), None),
                  e.text("relative", ("zero", "home"), None), e.number("steps_per_mm", None, above=0.0),
-                 e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None), _pairs(e, "columns"))
+                 e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None),
+                 e.text("header", default=None), e.number("period", None, above=0.0, most=3600.0, unit="s"), _pairs(e, "columns"))
 
 
 def text(recipe: Recipe, folder: Path) -> str:
