@@ -1,6 +1,7 @@
 """rig import IMAGES --rig rig.toml --commands X.csv --cameras camchain.yaml --out REC, or rig import --recipe FILE --out REC."""
 
 import argparse
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", metavar="FILE.csv", type=Path, help=text)
     parser.add_argument("--cameras", metavar="FILE", type=Path, nargs="+", help="cameras as Kalibr, multical, caliscope, ROS (camera_info) or OpenCV "
                         "calibrated them, in place of rig.toml's; with nothing else to import, --out FILE.toml is a rig.toml")
+    parser.add_argument("--bag", metavar="BAG", type=Path, nargs="+", help="bags of ROS 1 or 2, or an MCAP file: images, joint states, poses, "
+                        "temperatures by the topics' types (bag.topics.commands=/joint_states states one)")
     parser.add_argument("--set", dest="settings", metavar="KEY=VALUE", action="append", default=[], help="state what files do not, as "
                         "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
     parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
@@ -37,20 +40,22 @@ def run(arguments: argparse.Namespace) -> None:
     from rig.mistakes.early import early
 
     given = {name: getattr(arguments, name) for name in TABLES}
-    if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or any(given.values())):
+    if arguments.recipe is not None and (arguments.images or arguments.rig or arguments.cameras or arguments.bag or any(given.values())):
         raise RigError("--recipe names all files itself; --set changes what it says")
     if arguments.recipe is None and arguments.rig is None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (importing.load(arguments.recipe, settings) if arguments.recipe is not None
-              else importing.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or ()))
+              else importing.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or (),
+                                                                                             arguments.bag or ()))
     arguments.outputs.inputs += _read(recipe)
     if recipe.cameras is not None and arguments.out.suffix == ".toml":
         _rig(arguments, recipe)
         return
     out = arguments.outputs.folder(arguments.out)
-    imported = importing.assemble(recipe)
-    importing.write(imported, out)
+    with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
+        imported = importing.assemble(importing.unpacked(recipe, Path(unpacked)))
+        importing.write(imported, out)
     kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:
         write_text(arguments.outputs.file(kept), importing.text(imported.recipe, kept.parent))
@@ -65,7 +70,8 @@ def run(arguments: argparse.Namespace) -> None:
 def _read(recipe: "Recipe") -> list[Path]:
     """The files and folders that a recipe reads, which are never written over."""
     tables = [getattr(recipe, name) for name in TABLES]
-    seen = *(recipe.images.folders if recipe.images else ()), *(recipe.cameras.files if recipe.cameras else ())
+    seen = [*(recipe.images.folders if recipe.images else ()), *(recipe.cameras.files if recipe.cameras else ())]
+    seen += recipe.bag.files if recipe.bag else ()
     return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
 
 

@@ -57,9 +57,20 @@ def with_cameras(recipe: Recipe) -> tuple[Design, str | None, tuple[str, ...]]:
     return design_file.design_of(design_file.entries_of(text, recipe.rig)), text, said
 
 
+def unpacked(recipe: Recipe, folder: Path) -> Recipe:
+    """The Recipe with what its bags hold as files in a folder, which must last until all is written; without bags as it is. Raises RigError."""
+    if recipe.bag is None:
+        return recipe
+    from rig.importing import bag
+
+    return bag.unpacked(recipe, with_cameras(recipe)[0], folder)
+
+
 def assemble(recipe: Recipe) -> Imported:
     """Imported of a Recipe. Raises RigError for what cannot be used, for what is missing and for what reads well in two ways."""
     design, rig, of_cameras = with_cameras(recipe)
+    if recipe.bag is not None:
+        of_cameras = (*of_cameras, *recipe.bag.said)
     if recipe.images is None and recipe.poses is None:
         raise RigError("there is nothing that was seen: give folders of images, or --poses FILE.csv")
     commanded = commands(recipe.commands, design) if recipe.commands else None

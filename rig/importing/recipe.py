@@ -20,6 +20,7 @@ TIMES = ("s", "ms", "us", "ns", "iso")
 ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
 EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
 TABLES = ("commands", "poses", "sensors", "frames")
+FROM_BAG = Path()  # in place of the file of a table that a bag holds
 NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 
 
@@ -72,6 +73,19 @@ class Cameras:
 
 
 @dataclass(frozen=True, slots=True)
+class Bag:
+    """Bags of ROS. topics : pairs (commands or poses, topic); cameras : pairs (ours, topic); sensors : pairs (channel, topic)
+    folder : what they hold as files, once unpacked; said : sentences about that"""
+
+    files: tuple[Path, ...]
+    topics: tuple[tuple[str, str], ...] = ()
+    cameras: tuple[tuple[str, str], ...] = ()
+    sensors: tuple[tuple[str, str], ...] = ()
+    folder: Path | None = None
+    said: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Recipe:
     """All that is imported, and what is stated about it."""
 
@@ -82,6 +96,7 @@ class Recipe:
     sensors: ForeignTable | None = None
     frames: ForeignTable | None = None
     cameras: Cameras | None = None
+    bag: Bag | None = None
     said: tuple[str, ...] = field(default=(), compare=False)
 
 
@@ -99,13 +114,16 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     return _recipe(root, path.parent)
 
 
-def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...], cameras: Sequence[Path] = ()) -> Recipe:
-    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras : files of them. Raises RigError."""
+def stated(rig: Path | None, folders: list[Path], tables: dict[str, Path | None], settings: tuple[str, ...],
+           cameras: Sequence[Path] = (), bags: Sequence[Path] = ()) -> Recipe:
+    """Recipe of what a command line states. tables : {one of TABLES: file or None}; cameras, bags : files of them. Raises RigError."""
     tree: dict = {} if rig is None else {"rig": str(rig)}
     if folders:
         tree["images"] = {"folders": [str(folder) for folder in folders]}
     if cameras:
         tree["cameras"] = {"files": [str(path) for path in cameras]}
+    if bags:
+        tree["bag"] = {"files": [str(path) for path in bags]}
     tree |= {name: {"file": str(path)} for name, path in tables.items() if path is not None}
     _set(tree, settings)
     return _recipe(Entries(tree, (), Path("--set"), {(): (None, None)}), Path())
@@ -131,14 +149,16 @@ def _set(tree: dict, settings: tuple[str, ...]) -> None:
 
 
 def _recipe(root: Entries, folder: Path) -> Recipe:
-    known = ("rig", "images", "cameras", *TABLES)
+    known = ("rig", "images", "cameras", "bag", *TABLES)
     root.refuse_misspelt(("schema", "said", *known))
     for key in root.tree:
         if key not in ("schema", "said", *known):
             root.fail(f"unknown key {shown(key)}; there are {', '.join(known)}", key)
-    stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder) for name in TABLES if name in root.tree}
+    bag = _bag(root.table("bag"), folder) if "bag" in root.tree else None
+    stated: dict[str, Any] = {name: _foreign_table(root.table(name), folder, bag) for name in TABLES if name in root.tree}
     stated["cameras"] = _cameras(root.table("cameras"), folder) if "cameras" in root.tree else None
-    return Recipe(folder / root.text("rig"), _images(root.table("images"), folder) if "images" in root.tree else None, **stated)
+    images = _images(root.table("images"), folder, bag) if "images" in root.tree else None
+    return Recipe(folder / root.text("rig"), images, bag=bag, **stated)
 
 
 def _known(entries: Entries, kind: type) -> None:
@@ -154,9 +174,24 @@ def _pairs(entries: Entries, key: str) -> tuple[tuple[str, str], ...]:
     return tuple((str(name), inner.text(name)) for name in inner.tree)
 
 
-def _images(e: Entries, folder: Path) -> Images:
+def _bag(e: Entries, folder: Path) -> Bag:
+    e.refuse_misspelt(("files", "topics", "cameras", "sensors"))
+    for key in e.tree:
+        if key not in ("files", "topics", "cameras", "sensors"):
+            e.fail(f"unknown key {e.name(key)!r}; there are files, topics, cameras, sensors", key)
+    if "files" not in e.tree:
+        e.fail(f"{e.name('files')} is missing: settings of a bag that is not imported")
+    topics = _pairs(e, "topics")
+    odd = next((name for name, _ in topics if name not in ("commands", "poses")), None)
+    if odd is not None:
+        e.fail(f"unknown key 'bag.topics.{odd}'; there are commands, poses; cameras and sensors have tables of their own", "topics")
+    return Bag(tuple(folder / name for name in e.texts("files")), topics, _pairs(e, "cameras"), _pairs(e, "sensors"))
+
+
+def _images(e: Entries, folder: Path, bag: Bag | None) -> Images:
     _known(e, Images)
-    return Images(tuple(folder / name for name in e.texts("folders")), e.text("names", default=None), e.text("time_unit", TIMES, None),
+    folders = e.texts("folders") if bag is None or "folders" in e.tree else ()
+    return Images(tuple(folder / name for name in folders), e.text("names", default=None), e.text("time_unit", TIMES, None),
                   e.text("zone", default=None), e.number("shift", 0.0), e.number("tolerance", None, least=0.0, most=3600.0, unit="s"),
                   _pairs(e, "cameras"))
 
@@ -168,13 +203,14 @@ def _cameras(e: Entries, folder: Path) -> Cameras:
     return Cameras(tuple(folder / name for name in e.texts("files")), _pairs(e, "names"), e.text("at", default=None))
 
 
-def _foreign_table(e: Entries, folder: Path) -> ForeignTable:
+def _foreign_table(e: Entries, folder: Path, bag: Bag | None) -> ForeignTable:
     from rig.importing.units import ALL
 
     _known(e, ForeignTable)
-    if "file" not in e.tree:
+    if "file" not in e.tree and bag is None:
         e.fail(f"{e.name('file')} is missing: settings of a table that is not imported")
-    return ForeignTable(folder / e.text("file"), e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
+    file = folder / e.text("file") if "file" in e.tree else FROM_BAG
+    return ForeignTable(file, e.text("separator", tuple(SEPARATORS), None), e.text("decimal", tuple(DECIMALS), None),
                  e.text("time_unit", TIMES, None), e.text("zone", default=None), e.number("shift", 0.0), e.text("unit", tuple(ALL), None),
                  e.text("relative", ("zero", "home"), None), e.number("steps_per_mm", None, above=0.0),
                  e.text("rotation", (*ROTATIONS, *EULER), None), e.text("rotation_unit", ("rad", "deg"), None),
@@ -193,13 +229,15 @@ def text(recipe: Recipe, folder: Path) -> str:
         document.add(tomlkit.comment(" ".join(line.split())))
     document.add("schema", SCHEMA)
     document.add("rig", path(recipe.rig))
-    for name in ("images", "cameras", *TABLES):
+    for name in ("bag", "images", "cameras", *TABLES):
         section = getattr(recipe, name)
         if section is None:
             continue
         table = tomlkit.table()
         for part in fields(section):
             value = getattr(section, part.name)
+            if part.name in ("folder", "said") or _unpacked(value, recipe):
+                continue
             if part.name in ("folders", "files"):
                 table.add(part.name, [path(one) for one in value])
             elif part.name == "file":
@@ -211,3 +249,10 @@ def text(recipe: Recipe, folder: Path) -> str:
                 table.add(part.name, value)
         document.add(name, table)
     return tomlkit.dumps(document)
+
+
+def _unpacked(value: Any, recipe: Recipe) -> bool:
+    """Whether a value is a file, or folders, that a bag was unpacked into: gone when the recipe is read again."""
+    bag = recipe.bag.folder if recipe.bag is not None else None
+    paths = value if isinstance(value, tuple) else (value,)
+    return bag is not None and any(isinstance(path, Path) and path.is_relative_to(bag) for path in paths)
