@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("out", "truth", "state", "history", "draw", "stl")  # arguments that name what is written; all other paths are read
+WRITTEN = ("next", "out", "truth", "state", "history", "draw", "stl")  # arguments that name what is written; all other paths are read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
@@ -33,6 +33,7 @@ COMMANDS = {
     "posture": "A redundant arm's posture for feeling or making force, with the hand held still.",
     "wrench": "What pushed on an arm's hand, from its joints' torques or motor currents: force and moment with covariance.",
     "verify": "A calibration held against a recording it was not made from: error before and after.",
+    "investigate": "A rig finds out by itself: plan, diagnosis, the experiment that tells most, and again, up to a certificate.",
     "watch": "Small visits held against a calibration day by day: whether it still holds, what changed, what to remeasure.",
     "certify": "What a calibration promises of all poses in a volume, from recordings held out: a certificate.",
     "workspace": "What a calibration does to the workspace: lost, gained, room to limits, singularities, error bounds.",
@@ -79,7 +80,7 @@ def main(argv: list[str] | None = None) -> int:
         raise SystemExit(_flushed("rig", end.code)) from None
     except OSError as error:
         return _failed(f"rig: standard output: {error.strerror}")
-    arguments.argv, arguments.all_commands = argv, lambda: command_line(COMMANDS)
+    arguments.argv, arguments.all_commands, arguments.call = argv, lambda: command_line(COMMANDS), main
     return _run(arguments)
 
 

@@ -11,6 +11,7 @@ from rig.geometry import Arm, Chain, Free, Hexapod, Planar2, freeze
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
+PERMITTED = ("payload", "wait")  # what an owner may allow experiments
 SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
@@ -59,6 +60,14 @@ class SensorPort:
     baudrate: int
     ask: str
     channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Permission:
+    """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to wait while temperatures
+    change)"""
+
+    may: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +174,8 @@ class Target:
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
     """The whole rig.toml. name : of the rig; gravity : (3,) m/s^2 in the base frame; sensor : Sensor of its simulated cameras;
-    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None."""
+    insitu : MeasuringLimbs or None; controller : Controller or None where nothing is driven; sensors : SensorPort or None
+    experiment : Permission."""
 
     name: str
     gravity: np.ndarray
@@ -179,6 +189,7 @@ class Design:
     insitu: MeasuringLimbs | None = None
     controller: Controller | None = None
     sensors: SensorPort | None = None
+    experiment: Permission = Permission()
 
     def camera(self, name: str) -> Camera:
         """The camera of that name. Raises ValueError with the names there are."""

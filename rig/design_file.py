@@ -10,8 +10,8 @@ import numpy as np
 
 from rig import arm_entries, camera_entries
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
-                        Planar2, Platform, Sensor, SensorPort, Target)
+from rig.design import (DICTIONARIES, FACES, PERMITTED, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
+                        Permission, Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.instrument_entries import instrument
@@ -57,7 +57,7 @@ def design_of(root: Entries) -> Design:
     """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu", "controller", "sensors", "dynamics"))
+                          "insitu", "controller", "sensors", "dynamics", "experiment"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
@@ -70,7 +70,8 @@ def design_of(root: Entries) -> Design:
         cameras=cameras, targets=targets, sensor=_sensor(root.table("sensor", optional=True)),
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
-        sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None)
+        sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
+        experiment=_permission(root.table("experiment", optional=True)))
 
 
 def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
@@ -154,6 +155,14 @@ def _sensors(table: Entries) -> SensorPort:
             len(set(channels)) != len(channels) or "t" in channels):
         table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
     return SensorPort(table.text("port"), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
+
+
+def _permission(table: Entries) -> Permission:
+    table.refuse_misspelt(("may",))
+    may = table.get("may", [])
+    if not isinstance(may, list) or not all(word in PERMITTED for word in may):
+        table.fail(f"{table.name('may')} must list what experiments may do, of {', '.join(map(repr, PERMITTED))}, not {may!r}", "may", value=may)
+    return Permission(tuple(may))
 
 
 def _platform(table: Entries) -> Platform:

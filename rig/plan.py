@@ -5,7 +5,7 @@ low-discrepancy configurations, then a ladder of reversals, then exposes sixty t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,63 +16,21 @@ from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.origin import Origin, decimal
 from rig.outside import shown
+from rig.plan_writer import STEP, Plan, Writer
 from rig.recording import Commands, Sensors
 
-DWELL = 2.0  # s at a configuration before its exposure
-AFTER = 1.0  # s at it after the exposure
 SPEED = 0.5  # of the actuator's top speed
 UNSTATED_SPEED = {"m": 0.02, "rad": 0.5}  # m/s or rad/s where the design states none
-STEP = 0.05  # s between command rows while moving
 EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
 MOST = 20_000  # exposures of a plan
+DIGITS = 4  # of a time in a plan's table
+PAYLOAD = "payload_mass_kg"  # column of a plan in time: kg that the platform carries from that row on
+LONG = 600.0  # s of a dwell that is watched
+LONGEST = 600  # min that a plan may wait at once
 ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
 BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries
-    origin : by which its times are written down"""
-
-    commands: Commands
-    t: np.ndarray
-    payload: np.ndarray
-    origin: Origin = Origin()
-
-
-class _Writer:
-    """A plan being written: where the struts are, when, and what has been exposed."""
-
-    def __init__(self, start: np.ndarray, speed: float | np.ndarray, below: float | np.ndarray = 0.0) -> None:
-        self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
-        self.exposures: list[float] = []
-        self.speed, self.below = speed, below
-
-    def go(self, goal: np.ndarray) -> None:
-        seconds = float((np.abs(goal - self.values[-1]) / self.speed).max())
-        if seconds > 0:
-            self.t.append(self.t[-1] + max(seconds, STEP))
-            self.values.append(goal)
-
-    def dwell(self, seconds: float) -> None:
-        """Stay for so long (s)."""
-        self.t.append(self.t[-1] + seconds)
-        self.values.append(self.values[-1])
-
-    def settle(self, goal: np.ndarray) -> None:
-        """Go there, from below where that is asked for, dwell, expose once settled."""
-        if np.any(self.below):
-            self.go(goal - self.below)
-        self.go(goal)
-        self.dwell(DWELL + AFTER)
-        self.exposures.append(self.t[-1] - AFTER)
-
-    def plan(self) -> Plan:
-        """What was written so far, exposures in order of time."""
-        order = np.argsort(self.exposures)
-        return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.array(self.payload))
 
 
 def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.ndarray) -> Plan:
@@ -80,7 +38,7 @@ def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.nda
 
     speed : of the axes, one or (axes,) m/s or rad/s
     """
-    writer = _Writer(np.asarray(start, float), speed)
+    writer = Writer(np.asarray(start, float), speed)
     for goal in configurations:
         writer.settle(goal)
     return writer.plan()
@@ -91,7 +49,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
     configuration at which the struts settle is reached from shorter struts.
 
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
-    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, iso9283:CYCLES
+    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
     Raises RigError for a part that is not known.
     """
@@ -102,7 +60,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
         if found is not None:
             return found
     strokes = strokes_of(design)
-    writer = _Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
+    writer = Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
@@ -131,15 +89,15 @@ def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -
         raise RigError(f"plan {shown(text)}: with {name}:{count} it exposes {before + each:.3g} times; a plan may {MOST} times")
 
 
-def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[_Writer, Design, int, np.random.Generator], None]:
-    def part(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[Writer, Design, int, np.random.Generator], None]:
+    def part(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
         for goal in configurations(design, count, rng):
             writer.settle(goal)
 
     return part
 
 
-def _ladder(writer: _Writer, design: Design, steps: int, rng: np.random.Generator) -> None:
+def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator) -> None:
     """Every strut alone, out and back in growing amplitudes: each rung is approached from both sides."""
     strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
@@ -152,7 +110,7 @@ def _ladder(writer: _Writer, design: Design, steps: int, rng: np.random.Generato
                 writer.settle(goal)
 
 
-def _payload(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """The same configurations without and with a load of 0.6 of the platform's mass."""
     goals = low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30)))
     for mass in (0.0, 0.6 * (design.platform.mass or 1.0), 0.0):
@@ -163,7 +121,7 @@ def _payload(writer: _Writer, design: Design, count: int, rng: np.random.Generat
             writer.settle(goal)
 
 
-def _moving(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures on the way: two waves per strut, slow enough for its top speed, command rows every STEP seconds."""
     strokes = strokes_of(design)
     middle, half = strokes.mean(axis=1), 0.5 * FILL * np.ptp(strokes, axis=1) / 2
@@ -184,7 +142,7 @@ def _moving(writer: _Writer, design: Design, count: int, rng: np.random.Generato
     writer.exposures += [start + 1.0 + k * EXPOSE_EVERY for k in range(count or 60)]
 
 
-def _zigzag(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Exposures soon after all struts have turned round at full speed: what lags shows there, what only reads the clock wrong does not."""
     strokes = strokes_of(design)
     leg = EXPOSE_EVERY * writer.speed * rng.choice([-1, 1], len(strokes))
@@ -196,7 +154,7 @@ def _zigzag(writer: _Writer, design: Design, count: int, rng: np.random.Generato
     writer.exposures += [start + k * EXPOSE_EVERY + TURNED[(k - 1) // 2 % len(TURNED)] for k in turns[:-1]]
 
 
-def _warmup(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = low_discrepancy(strokes_of(design), 11, seed=int(rng.integers(1 << 30)))
     for k in range(count or 48):
@@ -204,7 +162,25 @@ def _warmup(writer: _Writer, design: Design, count: int, rng: np.random.Generato
         writer.dwell(4 * 3600 / (count or 48))
 
 
-def _repeat(writer: _Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+def _dwell(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
+    """From one end to the other at once, and exposures during ten minutes there, often at first: what arrives late, and what only goes with time."""
+    strokes = strokes_of(design)
+    middle, half = strokes.mean(axis=1), FILL * np.ptp(strokes, axis=1) / 2
+    sides = rng.choice([-1, 1], len(strokes))
+    writer.go(middle - half * sides)
+    writer.dwell(LONG / 4)
+    writer.go(middle + half * sides)
+    writer.watch(count or 20, LONG)
+
+
+def _wait(writer: Writer, design: Design, minutes: int, rng: np.random.Generator) -> None:
+    """Nothing for so long, while temperatures change. Raises RigError for more than LONGEST minutes."""
+    if minutes > LONGEST:
+        raise RigError(f"a plan waits for {LONGEST} minutes at the most, not for {minutes}")
+    writer.dwell(60.0 * (minutes or 20))
+
+
+def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """Three configurations approached again and again from everywhere: what repeatability is."""
     strokes = strokes_of(design)
     goals = low_discrepancy(strokes, 3, seed=1)
@@ -213,7 +189,7 @@ def _repeat(writer: _Writer, design: Design, count: int, rng: np.random.Generato
         writer.settle(goals[k % 3])
 
 
-def _iso9283(writer: _Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
+def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
     poses = iso9283(design)
     for _ in range(cycles or 30):
@@ -221,7 +197,7 @@ def _iso9283(writer: _Writer, design: Design, cycles: int, rng: np.random.Genera
             writer.settle(goal)
 
 
-def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generator) -> None:
+def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generator) -> None:
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
@@ -230,8 +206,9 @@ def _commands(writer: _Writer, design: Design, file: str, rng: np.random.Generat
 
 
 def _in_time(design: Design, file: str) -> Plan | None:
-    """Plan of a table frame,t,l1..l6 as it stands, exposed at the rows that have a frame; None for a table without times."""
-    rows = table.read(Path(file), ("frame", *design.mechanism.axes))
+    """Plan of a table frame,t,l1..l6 as it stands, exposed at the rows that have a frame, with the payload of each row where it has a column of
+    it; None for a table without times."""
+    rows = table.read(Path(file), ("frame", *design.mechanism.axes), (PAYLOAD,))
     if "t" not in rows.columns:
         return None
     rows.times("t", Origin())  # which checks them
@@ -242,7 +219,9 @@ def _in_time(design: Design, file: str) -> Plan | None:
         rows.fail("time must increase from row to row", back[0] + 1, "t")
     if not exposed.any():
         raise FileError(file, "has no row with a frame, so that nothing is exposed")
-    return Plan(Commands(t, _within(rows, design)), t[exposed], np.array([(0.0, 0.0)]), origin)
+    mass = rows.numbers(PAYLOAD) if PAYLOAD in rows.columns else np.zeros(len(t))
+    steps = [(0.0, float(mass[0])), *((float(t[k]), float(mass[k])) for k in np.flatnonzero(np.diff(mass)) + 1)]
+    return Plan(Commands(t, _within(rows, design)), t[exposed], np.array(steps), origin)
 
 
 def _within(rows: table.Table, design: Design) -> np.ndarray:
@@ -256,7 +235,7 @@ def _within(rows: table.Table, design: Design) -> np.ndarray:
     return values
 
 
-def _division(writer: _Writer, design: Design, text: str, rng: np.random.Generator) -> None:
+def _division(writer: Writer, design: Design, text: str, rng: np.random.Generator) -> None:
     strokes = strokes_of(design)
     if not text.endswith(".csv"):
         each = float(np.prod([count + 1.0 for count in parts(len(strokes), text or "2")[0]]))
@@ -271,7 +250,8 @@ PARTS: dict[str, Callable[..., None]] = {
     "simplices": _visit(lambda design, count, rng: simplices(strokes_of(design), count or 2)),
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
     "combined": _visit(lambda design, count, rng: combined(design, count or 6)),
-    "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "commands": _commands,
+    "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "dwell": _dwell,
+    "wait": _wait, "commands": _commands,
     "division": _division, "iso9283": _iso9283,
 }
 TEXTS = ("commands", "division")  # parts that take more than a number
@@ -280,6 +260,17 @@ TEXTS = ("commands", "division")  # parts that take more than a number
 def strokes_of(design: Design) -> np.ndarray:
     """(axes, 2) m or rad between which the axes of a design may be commanded."""
     return mechanisms.of(design.mechanism).travel(design.mechanism)
+
+
+def rows_of(plan: Plan) -> tuple[tuple[str, ...], list[str]]:
+    """(columns beside the axes', rows) of a Plan as a table in time, which `build` reads as commands:FILE; the axes' columns stand last."""
+    loaded, exposed = np.round(plan.payload[:, 0], DIGITS), np.round(plan.t, DIGITS)
+    t = np.union1d(np.round(plan.commands.t, DIGITS), np.r_[exposed, loaded])
+    mass = plan.payload[np.searchsorted(loaded, t, side="right") - 1, 1]
+    frames = {time: str(k) for k, time in enumerate(exposed.tolist())}
+    values = plan.commands.at(t)
+    return ("frame", "t", PAYLOAD), [",".join([frames.get(time, ""), f"{time:.4f}", f"{m:.6g}", *(f"{v:.7f}" for v in row)])
+                                     for time, m, row in zip(t.tolist(), mass.tolist(), values)]
 
 
 def speed_of(design: Design) -> np.ndarray:

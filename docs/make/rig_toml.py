@@ -14,7 +14,7 @@ from docs.make.told import fields_told, headline
 from rig import design_file, dynamics_file, layout, layout_planar, shelf
 from rig.arm_entries import Joint
 from rig.controller import Controller
-from rig.design import (Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Planar2, Platform, Sensor, SensorPort,
+from rig.design import (Actuator, Arm, Camera, Design, Hexapod, Instrument, Marker, MeasuringLimbs, Permission, Planar2, Platform, Sensor, SensorPort,
                         Target)
 from rig.dynamics_file import ArmDynamics
 from rig.entries import REQUIRED, Entries, Key
@@ -44,6 +44,7 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     "[controller]": (Controller, "Only where `rig run` and the like drive the machine; [controllers](controllers.md) say more."),
     "[sensors]": (SensorPort, "Only where a run reads thermometers or measuring limbs; [operating](operating.md) says more."),
     "[insitu]": (MeasuringLimbs, "Only where there are measuring limbs; [measuring](measuring.md) says more."),
+    "[experiment]": (Permission, "Only where [experiments](investigate.md) may do more than move."),
     "[dynamics]": (ArmDynamics, "Of arms, only where forces at the hand are asked for; [forces](force.md) say more."),
     "[sensor]": (Sensor, "What simulated cameras do to light; real ones need none of it."),
 }
@@ -123,7 +124,7 @@ class Log(Entries):
 
 HANGS_ON_ANOTHER = {("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter", ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
                     ("[[target.marker]]", "margin"): "an eighth of `side`"}
-KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "channels": "list of names",
+KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "may": "list of `payload`, `wait`", "channels": "list of names",
                 "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`; or tables "
                           "`[[mechanism.joints]]`"}
 
@@ -148,6 +149,7 @@ def samples() -> list[dict[str, Any]]:
     whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}
+    whole["experiment"] = {"may": ["payload", "wait"]}
     whole["instrument"] = {"base": "rig", "tool": "rig", "position_sigma": 1e-5, "rotation_sigma": 1e-4}
     whole["sensor"] = {name: getattr(Sensor(), name) for name in Sensor.__slots__}
     listed = tomllib.loads(layout_planar.layout(0.3, cameras=1, cubes=1))
@@ -172,7 +174,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
 
 
 TABLE_KEYS = ("schema", "environment", "mechanism", "camera", "target", "platform", "actuator", "instrument", "controller", "sensors", "insitu",
-              "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
+              "experiment", "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def page() -> str:

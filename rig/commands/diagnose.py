@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig import json_file
-from rig.commands import checking, own_effects
+from rig.commands import checking, experimenting, own_effects
 from rig.commands.output import Progress, add_force, add_recordings
 from rig.errors import RigError
 
@@ -48,6 +48,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--from", metavar="DIR", type=Path, dest="before", help="what another diagnosis found: begin with its findings, each of "
                         "which has to stand here as well")
     own_effects.argument(parser)
+    experimenting.arguments(parser)
     add_force(parser)
     checking.argument(parser)
 
@@ -57,6 +58,7 @@ def run(arguments: Namespace) -> None:
     from rig import provenance
     from rig.effects.parse import asked
 
+    experimenting.refuse(arguments)
     progress = Progress()
     progress("reading the recording", 0, 1)
     recording, look, several = checking.begin_all(arguments, progress)
@@ -112,6 +114,8 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
+    if arguments.next is not None:
+        raise RigError("--next foretells experiments of platforms on struts; of an arm, rig plan --separate tries plans on two effects")
     if known.calibration is not None:
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
@@ -134,6 +138,8 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     report = platform.report(found)
     platform.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found))
+    if arguments.next is not None:
+        experimenting.write_next(arguments, found, recording.design, out, progress)
     return report
 
 

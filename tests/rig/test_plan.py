@@ -9,10 +9,10 @@ from rig.mechanisms import hexapod
 from rig.pose import difference
 
 EXPECTED = {"sobol": 100, "grid": 64, "division": 729, "simplices": 89, "axes": 54, "combined": 108, "iso9283": 150, "ladder": 96,
-            "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30}
+            "payload": 36, "moving": 60, "zigzag": 60, "warmup": 48, "repeat": 30, "dwell": 20}
 
 
-@pytest.mark.parametrize("part", [name for name in plan.PARTS if name != "commands"])
+@pytest.mark.parametrize("part", [name for name in plan.PARTS if name not in ("commands", "wait")])
 def test_every_part_stays_in_reach_and_in_time(design, part):
     found = plan.build(design, part, seed=3)
     assert len(found.t) == EXPECTED[part]
@@ -23,6 +23,13 @@ def test_every_part_stays_in_reach_and_in_time(design, part):
     assert speed.max() <= 1.01 * design.actuator.max_speed
     again = plan.build(design, part, seed=3)
     assert (again.commands.values == found.commands.values).all()
+
+
+def test_a_wait_moves_nothing_and_ends(design):
+    bare, waited = plan.build(design, "sobol:4"), plan.build(design, "sobol:2,wait:20,sobol:2")
+    assert waited.t[2] - waited.t[1] > 1200 > bare.t[-1] and len(waited.t) == 4
+    with pytest.raises(RigError, match="600 minutes at the most, not for 601"):
+        plan.build(design, "sobol:2,wait:601")
 
 
 def test_parts_join(design):

@@ -1,0 +1,204 @@
+"""A plan -> what its recording would say under each hypothesis: a mean and a covariance each, on a basis of all in which they differ.
+
+The rig is taken as the diagnosis has it: cameras where they were last, the geometry and every effect's numbers as sure as the recordings so far
+leave them. What is measured anew is corners with the noise that these had (poses, where an instrument measures), seen by whichever camera sees
+them; cameras, lenses, geometry and every frame's pose are as free in it as in a diagnosis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from calib.diagnose.engine.linear import Column, joined
+from calib.diagnose.problems.platform.coordinates import tangents
+from calib.diagnose.problems.platform.heldout import change
+from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
+from calib.diagnose.problems.platform.refine import Refined
+from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.experiment.hypotheses import Hypothesis, Question, beforehand
+from calib.diagnose.report.schema import UNKNOWN
+from rig import machine, mechanisms
+from rig.design import Design
+from rig.effects.base import Effect
+from rig.errors import RigError
+from rig.observed import Corners
+from rig.plan import Plan, logged
+from rig.pose import exp
+from rig.recording import Sensors
+from vision.observations import from_corners
+from vision.predict import State, facing, inside, see
+from vision.targets import marker_map
+
+SEED = 0  # of the noise by which a recording that is not there yet is weighed
+WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foretold:
+    """Of h hypotheses on r directions. means : (h, r); covariances : (h, r, r), the noise's own 1 included
+    cosines : (h, h) between what they do, over all recordings with this one, nuisances taken out"""
+
+    means: np.ndarray
+    covariances: np.ndarray
+    cosines: np.ndarray
+
+
+def foretold(question: Question, plan: Plan) -> Foretold:
+    """Foretold of a question's hypotheses under a plan. Raises RigError where the rig as found cannot follow it, or no camera sees some of it"""
+    first, *_ = named = question.named
+    point = _latest(first.fitted.point)
+    sensors = _course(point, plan)
+    fits = [h.fitted for h in named]
+    runs = [_poses(fit, point.design, plan, sensors) for fit in fits]
+    here = _there(point, fits[0], plan, sensors, runs[0])
+    model = linearise(here)
+    sensitivities = Sensitivities(here)
+    columns: list[Column] = []
+    moved: list[Column] = []
+    for fit, T in zip(fits, runs):
+        at = replace(model, point=here.with_effects(fit.point.effects))
+        columns.append(tangents(at, sensitivities)[1] or _none(model))
+        moved.append(_between(model, here, replace(here, T=T, design=_as_found(fit, here.design)).with_effects(fit.point.effects)))
+    shapes = [change(replace(model, point=here.with_effects(fit.point.effects)), _without(fit.point.effects, h.number))
+              for h, fit in zip(named, fits)]
+    counts = [c.count for c in columns]
+    everything = joined([Column(c.parts) for c in (*columns, *moved, *shapes)])
+    found = model.linear.project(everything)
+    values, vectors = np.linalg.eigh(found.gram)
+    kept = values > WEAK * values[-1]
+    beyond = (vectors[:, kept] * np.sqrt(values[kept])).T  # (k, columns) of what nuisances leave
+    parts = np.split(np.concatenate([found.onto, beyond]), np.cumsum([*counts, len(named)])[: len(counts) + 1], axis=1)
+    nuisances = np.concatenate([np.linalg.pinv(model.nuisances.solve), np.zeros((int(kept.sum()), len(model.nuisances.names)))])
+    means, covariances = parts[len(counts)].T, []
+    for fit, tangent in zip(fits, parts):
+        spread = np.concatenate([nuisances, tangent], axis=1)
+        known = _known(fit, model, len(fit.coordinates))
+        covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
+    cosines = _cosines(named, fits, model, parts[-1], nuisances)
+    return _with_foreign(question, means, np.array(covariances), cosines, parts[-1])
+
+
+def _with_foreign(question: Question, means: np.ndarray, covariances: np.ndarray, cosines: np.ndarray, shapes: np.ndarray) -> Foretold:
+    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was found, where names differ."""
+    if question.hypotheses[-1].name != UNKNOWN:
+        return Foretold(means, covariances, cosines)
+    size = float(np.linalg.norm(shapes[:, 0]))
+    axes = np.linalg.svd(np.concatenate([shapes, means.T], axis=1), full_matrices=False)[0]
+    foreign = covariances[0] + size**2 / axes.shape[1] * axes @ axes.T
+    h = len(means)
+    wide = np.zeros((h + 1, h + 1))
+    wide[:h, :h] = cosines
+    return Foretold(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
+
+
+def _latest(point: OperatingPoint) -> OperatingPoint:
+    """The OperatingPoint with each camera where it stood in the last recording, by its own name."""
+    last = {c.name.partition("@")[0]: c for c in point.design.cameras}
+    return replace(point, design=replace(point.design, cameras=tuple(last.values())))
+
+
+def _course(point: OperatingPoint, plan: Plan) -> Sensors | None:
+    """The log of a recording that is not there yet: temperatures run as in the first one, the payload as the plan has it."""
+    log = point.sensors
+    if log is None:
+        return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
+    end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
+    first = Sensors(log.t[:end], {name: values[:end] for name, values in log.channels.items() if name != "payload_mass_kg"})
+    return logged(plan, first)
+
+
+def _as_found(fit: Refined, design: Design) -> Design:
+    """A Design with the geometry, and the cameras of its names, as fitted."""
+    cameras = {c.name: c for c in fit.point.design.cameras}
+    return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
+
+
+def _poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
+    """T_base_platform (F,) at a plan's exposures, as a fit has the machine."""
+    moving = [e for e in fit.point.effects if e.stage != "view"]
+    return machine.run(_as_found(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
+
+
+def _there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None,
+           T: RigidTransform) -> OperatingPoint:
+    """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before."""
+    rng, design, F = np.random.default_rng(SEED), _as_found(fit, point.design), len(plan.t)
+    here = OperatingPoint(design, replace(point.stated, cameras=design.cameras), np.arange(F), plan.t, T, {}, None, plan.commands, sensors, None,
+                          fit.point.effects, standing=point.standing)
+    if point.seen is None:
+        own = point.own if point.own is not None else np.zeros((1, 6, 6))
+        typical = np.median(own, axis=0)
+        noise = rng.multivariate_normal(np.zeros(6), typical, F)
+        return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
+    markers, state = marker_map(here.stated), State(design.cameras, T, {})
+    sightings = facing(state, markers)
+    uv = see(sightings, state, markers, plan.t, fit.point.effects, sensors, here.run(fit.point.effects))
+    whole = inside(sightings, uv, design.cameras)
+    sightings, uv = sightings.take(whole), uv[whole].reshape(-1, 2)
+    if len(np.unique(sightings.frame)) < F:
+        raise RigError(f"in {F - len(np.unique(sightings.frame))} of the plan's {F} exposures no camera would see a marker")
+    sigma = fit.model.corner_noise()
+    corners = Corners(np.repeat(sightings.frame, 4), [design.cameras[i].name for i in np.repeat(sightings.camera, 4)],
+                      np.repeat(markers.id[sightings.marker], 4), np.tile(np.arange(4), len(sightings.frame)),
+                      uv + sigma * rng.normal(size=uv.shape), np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy())
+    return replace(here, seen=seen_of(from_corners(corners, here.frames, here.stated, markers), markers))
+
+
+def _between(model: LinearisedModel, here: OperatingPoint, other: OperatingPoint) -> Column:
+    """Column (1) of what is seen otherwise where another fit holds."""
+    if here.seen is not None:
+        return Column(model.fold((other.pixels() - here.pixels())[..., None]).parts)
+    return model.lengthened((_lengths(other, here) - _lengths(here, here))[..., None])
+
+
+def _lengths(point: OperatingPoint, by: OperatingPoint) -> np.ndarray:
+    """(F, axes) m of a point's poses, by another's geometry."""
+    return mechanisms.of(by.design.mechanism).inverse(point.T, by.design.mechanism)
+
+
+def _none(model: LinearisedModel) -> Column:
+    return Column(tuple(np.zeros((len(b.residual), 0)) for b in model.linear.blocks))
+
+
+def _without(effects: Sequence[Effect], number: int) -> list[Effect]:
+    return [e for i, e in enumerate(effects) if i != number]
+
+
+def _known(fit: Refined, new: LinearisedModel, count: int) -> np.ndarray:
+    """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so far have them."""
+    model, names = fit.model, list(fit.model.nuisances.names)
+    P = np.linalg.pinv(model.nuisances.solve)
+    N = P.T @ P
+    wide = beforehand(fit.coordinates, fit.point.effects)
+    information = np.zeros((len(names) + count, len(names) + count))
+    information[: len(names), : len(names)] = N
+    if fit.column is not None and count:
+        found = model.linear.project(fit.column)
+        information[: len(names), len(names) :] = P.T @ found.onto
+        information[len(names) :, : len(names)] = found.onto.T @ P
+        information[len(names) :, len(names) :] = found.gram + found.onto.T @ found.onto + np.diag(1 / wide**2)
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    covariance = np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
+    at = [names.index(name) for name in new.nuisances.names] + list(range(len(names), len(names) + count))
+    return covariance[np.ix_(at, at)]
+
+
+def _cosines(named: Sequence[Hypothesis], fits: Sequence[Refined], new: LinearisedModel, shapes: np.ndarray, nuisances: np.ndarray) -> np.ndarray:
+    """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry taken out of all together."""
+    model = fits[0].model
+    own = joined([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
+                  for h, fit in zip(named, fits)])
+    found = model.linear.project(own)
+    P, names = np.linalg.pinv(model.nuisances.solve), list(model.nuisances.names)
+    N, K, G = P.T @ P, P.T @ found.onto, found.gram + found.onto.T @ found.onto
+    at = [names.index(name) for name in new.nuisances.names]
+    N[np.ix_(at, at)] += nuisances.T @ nuisances
+    K[at] += nuisances.T @ shapes
+    scale = 1 / np.sqrt(np.maximum(np.diag(N), 1e-300))
+    left = G + shapes.T @ shapes - K.T @ (scale[:, None] * (np.linalg.pinv(N * scale[:, None] * scale, rcond=1e-13, hermitian=True)
+                                                           @ (scale[:, None] * K)))
+    size = np.sqrt(np.maximum(np.diag(left), 1e-300))
+    return left / size[:, None] / size

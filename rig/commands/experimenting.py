@@ -1,0 +1,95 @@
+"""The next experiment on the command line: what is alike in words, the plan that tells it apart, and the chance that it does."""
+
+from __future__ import annotations
+
+import json
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.output import SEED, Progress
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
+    from calib.experiment.choose import Experiment
+    from calib.experiment.hypotheses import Question
+    from rig.design import Design
+
+SHOWN = 4  # plans that are compared in words
+LONGEST = 6000.0  # min
+TELLING = 0.01  # bits; a plan that tells less tells nothing
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add --next, how long it may take and what it may do."""
+    parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan of the experiment that would best tell apart what is "
+                        "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); next.json says its chance")
+    parser.add_argument("--minutes", metavar="MIN", type=float, default=60.0, help="for --next: that the experiment may take (default 60)")
+    parser.add_argument("--standing", action="store_true", help="for --next: only plans at whose exposures the struts stand, as rig run takes them")
+
+
+def refuse(arguments: Namespace) -> None:
+    """Raise RigError for options that cannot be meant, before anything is read."""
+    if not 0 < arguments.minutes <= LONGEST:
+        raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {arguments.minutes:g}")
+    if arguments.next is None and arguments.standing:
+        raise RigError("--standing is for --next FILE")
+
+
+def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, out: Path, progress: Progress) -> None:
+    """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
+    from calib.experiment.choose import choose, kinds
+    from calib.experiment.hypotheses import questions
+
+    asked = questions(found)
+    experiments: list[Experiment] = []
+    if asked:
+        seed = SEED + max(len(found.parts), 1)
+        experiments, refused = choose(asked, design, kinds(design.experiment.may, arguments.standing), seed, arguments.minutes,
+                                      lambda done, of: progress("foretelling experiments", done, of))
+        progress.close()
+        experiments = [e for e in experiments if e.bits >= TELLING]
+        print("\n".join(odds_lines(asked)))
+        print("\n".join(lines(experiments) if experiments else ["no plan that is allowed tells these apart",
+                                                                *(f"  {text}: {why}" for text, why in refused.items())]))
+    else:
+        print("nothing is alike that an experiment could tell apart")
+    (out / "next.json").write_text(json.dumps(_tree(asked, experiments), indent=1) + "\n", encoding="utf-8")
+    if experiments:
+        write(arguments.outputs.file(arguments.next), experiments[0], design)
+        print(f"written: {arguments.next}")
+
+
+def write(path: Path, experiment: Experiment, design: Design) -> None:
+    """Write an experiment's plan as a table in time."""
+    from rig.plan import rows_of
+    from rig.writing import write_table
+
+    columns, rows = rows_of(experiment.plan)
+    write_table(path, (*columns, *design.mechanism.axes), rows)
+
+
+def _tree(asked: Sequence[Question], experiments: Sequence[Experiment]) -> dict[str, object]:
+    """What next.json holds."""
+    return {"schema": "next/1",
+            "questions": [{"finding": question.named[0].title, "unasked": list(question.unasked),
+                           "hypotheses": [{"title": h.title, "odds": h.odds} for h in question.hypotheses]} for question in asked],
+            "experiments": [{"plan": e.text, "seed": e.seed, "exposures": len(e.plan.t), "minutes": e.minutes, "bits": e.bits,
+                             "settles": e.settles, "asks": list(e.asks)} for e in experiments]}
+
+
+def odds_lines(asked: Sequence[Question]) -> list[str]:
+    """What is alike, with odds."""
+    out = ["alike: " + ", ".join(f"{h.title} {h.odds:.2f}" for h in question.hypotheses) for question in asked]
+    return out + [f"cannot be foretold: {text}" for question in asked for text in question.unasked]
+
+
+def lines(experiments: Sequence[Experiment]) -> list[str]:
+    """The best plan, its chance, what it asks of an operator, and the plans that it was preferred to."""
+    best = experiments[0]
+    out = [f"next: {best.text} (seed {best.seed}), {len(best.plan.t)} exposures, {best.minutes:.1f} min; it settles this with a chance of "
+           f"{best.settles:.0%} and tells {best.bits:.2f} bits"]
+    out += [f"  operator, {text}" for text in best.asks]
+    return out + [f"  rather than {e.text}: {e.settles:.0%}, {e.bits:.2f} bits in {e.minutes:.1f} min" for e in experiments[1:SHOWN]]

@@ -1,0 +1,67 @@
+"""The end of an investigation: a calibration with what was found, verified on new poses, and its certificate where these suffice."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.trying import Rig
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from calib.experiment.record import Look
+
+REACH = 0.7  # of the strokes, over which new poses lie: what is corrected has to be reached as well
+VERIFYING = 1000  # added to the seed for the new poses
+
+
+def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, ...]:
+    """Calibrate, correct, verify on new poses and certify; what was done and what could not be, in lines. Raises Waiting as `Rig.record` does
+
+    Where a command refuses, what follows from it is left out, and that is a line
+    """
+    from calib.experiment.record import diagnosis_of, recording_of
+    from rig.plan import build
+
+    out, said = arguments.out, []
+    recordings = [str(recording_of(out, look.number)) for look in looks]
+    calibration = out / "calibration.json"
+    if not calibration.exists():
+        rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, looks[-1].number)), "--out", str(calibration))
+    found = ", ".join(looks[-1].findings) or "no physics"
+    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
+    poses, commands, plan, again = out / "verify-poses.csv", out / "verify-commands.csv", out / "verify-plan.csv", out / "verify"
+    try:
+        if not plan.exists():
+            _wanted(poses, rig, arguments)
+            rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
+            rig.write_plan(plan, build(rig.design, f"commands:{commands}"))
+        rig.record(plan, again, arguments.seed + VERIFYING)
+        rig.call("verify", str(calibration), str(again))
+        said.append("verified on new poses, commanded through the correction: verify")
+    except RigError as error:
+        return (*said, f"not verified: {error}")
+    try:
+        if not (out / "certificate" / "certificate.json").exists():
+            rig.call("certify", str(calibration), str(again), "--out", str(out / "certificate"))
+        said.append("certificate")
+    except RigError as error:
+        said.append(f"no certificate: {error}")
+    return tuple(said)
+
+
+def _wanted(path: Path, rig: Rig, arguments: Namespace) -> None:
+    """Write new poses all over what the struts reach."""
+    from rig import mechanisms
+    from rig.configurations import low_discrepancy
+    from rig.plan import strokes_of
+    from rig.pose import vector
+    from rig.writing import write_table
+
+    m = rig.design.mechanism
+    lengths = low_discrepancy(strokes_of(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
+    T = mechanisms.of(m).forward(lengths, m)
+    write_table(path, ("frame", "x", "y", "z", "rx", "ry", "rz"), [f"{k}," + ",".join(f"{value:.9f}" for value in row)
+                                                                   for k, row in enumerate(vector(T))])

@@ -1,0 +1,149 @@
+"""rig investigate RIG.toml --out DIR --budget 2h [--machine TRUTH | --by-hand] [--resume]."""
+
+from __future__ import annotations
+
+import json
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.commands.finishing import finish
+from rig.commands.output import SEED
+from rig.commands.trying import Rig, Waiting
+from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from calib.experiment.record import Look
+
+FIRST = "moving:24,sobol:60"  # the first plan of a rig that may be exposed on the way
+STANDING = "sobol:60,ladder:1,repeat:12"  # of one whose struts must stand
+MOST = 8  # looks
+STATE = "investigation.json"
+
+
+def budget(text: str) -> float:
+    """min of a time as written, 2h or 90min. Raises ArgumentTypeError for anything else"""
+    found = re.fullmatch(r"(\d{1,4}(?:\.\d{1,3})?)(h|min)", text)
+    value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
+    if not 0 < value <= 6000:
+        raise ArgumentTypeError(f"{text!r} must be a time of the rig above 0 and up to 100h, as 2h or 90min")
+    return value
+
+
+def arguments(parser: ArgumentParser) -> None:
+    """Add this command's arguments to a parser."""
+    parser.add_argument("design", metavar="RIG.toml", type=Path)
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, diagnoses, plans, notebook.md and notebook.html, and at "
+                        "the end calibration.json and certificate; a new folder, or with --resume the one to go on with")
+    parser.add_argument("--budget", metavar="2h", type=budget, default=120.0, help="of the rig's time (default 2h)")
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument("--machine", metavar="TRUTH", type=Path, help="a simulated machine, as rig simulate --machine takes it, instead of [controller]")
+    who.add_argument("--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for")
+    parser.add_argument("--plan", help=f"the first one (default {FIRST}; where the struts must stand {STANDING})")
+    parser.add_argument("--seed", type=int, default=SEED, help="of plans, and of a simulated machine's noise")
+    parser.add_argument("--verify", metavar="N", type=int, default=60, help="new poses by which the calibration is verified (default 60, which a "
+                        "certificate takes)")
+    parser.add_argument("--port", help="where the controller is, instead of what [controller] says")
+    parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")
+    parser.add_argument("--no-home", action="store_true", help="as for rig run")
+    parser.add_argument("--resume", action="store_true", help="go on with DIR, whatever it was interrupted by")
+
+
+def run(arguments: Namespace) -> int:
+    """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and certify."""
+    from calib.experiment.record import looks
+    from rig import design_file
+
+    design = design_file.load(arguments.design)
+    if design.mechanism.kind not in ("hexapod", "planar2"):
+        raise RigError(f"an investigation is of a platform on struts, not of a mechanism of kind {design.mechanism.kind!r}")
+    if not 12 <= arguments.verify <= 400:
+        raise RigError(f"--verify takes 12 to 400 poses, not {arguments.verify}")
+    rig = Rig(arguments, design)
+    _begin(arguments, rig)
+    try:
+        while True:
+            so_far = looks(arguments.out)
+            _tell(arguments, so_far, "")
+            ended = _ended(arguments, so_far)
+            if ended:
+                break
+            _look(arguments, rig, len(so_far) + 1, so_far)
+        _tell(arguments, so_far, ended)
+        after = finish(arguments, rig, so_far)
+    except Waiting as waiting:
+        print(waiting)
+        return 0
+    _tell(arguments, so_far, ended, after)
+    print(f"{ended}; look at {arguments.out / 'notebook.html'}")
+    return 0
+
+
+def _begin(arguments: Namespace, rig: Rig) -> None:
+    """Make the folder, or see that it is of this rig. Raises RigError otherwise."""
+    from calib.experiment.record import plan_of
+    from rig import json_file
+    from rig.files import write_bytes, write_text
+    from rig.plan import build
+
+    out, own = arguments.out, {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": arguments.seed}
+    if arguments.resume:
+        kept = json_file.load(out / STATE, "investigation", "investigation/1")
+        for name, value in own.items():
+            if kept.tree.get(name) != value:
+                kept.fail(f"is of another {name}: {kept.tree.get(name)!r}, not {value!r}", name)
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise RigError(f"{out} is there already" + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder"))
+    plan = build(rig.design, arguments.plan or (FIRST if rig.moving else STANDING), arguments.seed)
+    rig.refuse(plan)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{out} cannot be made: {error.strerror}") from None
+    write_bytes(out / "rig.toml", arguments.design.read_bytes())
+    rig.write_plan(plan_of(out, 1), plan)
+    write_text(out / STATE, json.dumps(own, indent=1) + "\n")
+
+
+def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
+    """Record the plan of a look, and diagnose all recordings together; the next plan is written with it."""
+    from calib.experiment.notebook import spent
+    from calib.experiment.record import diagnosis_of, minutes_of, plan_of, recording_of
+
+    out = arguments.out
+    rig.record(plan_of(out, number), recording_of(out, number), arguments.seed + number)
+    taken = spent(so_far) + minutes_of(plan_of(out, number))
+    left = max(arguments.budget - taken, 0.1)
+    words = ["diagnose", *(str(recording_of(out, k + 1)) for k in range(number)), "--out", str(diagnosis_of(out, number)), "--next",
+             str(plan_of(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"])]
+    rig.call(*words)
+
+
+def _ended(arguments: Namespace, so_far: list[Look]) -> str:
+    """Why the investigation ends, "" while it goes on."""
+    from calib.experiment.notebook import spent
+
+    if not so_far:
+        return ""
+    last = so_far[-1]
+    if not last.questions:
+        return "nothing is alike any more" if last.findings else ("what is there has no name" if last.unknown else "nothing is left out")
+    if not last.proposed:
+        late = spent(so_far) > arguments.budget / 2
+        return (f"the budget of {arguments.budget:.0f} min leaves no time for an experiment that would tell more" if late
+                else "no plan that is allowed tells what is left apart")
+    return f"{MOST} recordings did not tell it apart" if last.number >= MOST else ""
+
+
+def _tell(arguments: Namespace, so_far: list[Look], ended: str, after: tuple[str, ...] = ()) -> None:
+    """Write the notebook and its page as they are now."""
+    from calib.experiment.notebook import notebook
+    from calib.experiment.timeline import timeline_page
+    from rig.files import write_text
+
+    if so_far:
+        name = arguments.design.resolve().parent.name if arguments.design.name == "rig.toml" else arguments.design.stem
+        write_text(arguments.out / "notebook.md", notebook(name, so_far, arguments.budget, ended, after))
+        timeline_page(arguments.out / "notebook.html", name, so_far, arguments.budget, ended, after)

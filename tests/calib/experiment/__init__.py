@@ -1,0 +1,1 @@
+"""Experiments: chances that hold, plans that can be run."""

@@ -1,0 +1,50 @@
+"""The chance that an experiment settles a question: against what is known in closed form, and what no outcome can settle."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from calib.diagnose.engine.policy import PLATFORM
+from calib.experiment.choose import Experiment, kinds, ranked
+from calib.experiment.foretold import Foretold
+from calib.experiment.worth import worth
+
+HALF = np.array([0.5, 0.5])
+
+
+def apart(distance, r=5):
+    """Foretold of two hypotheses whose means lie so many standard deviations apart."""
+    means = np.zeros((2, r))
+    means[1, 2] = distance
+    return Foretold(means, np.tile(np.eye(r), (2, 1, 1)), np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("d", [1.0, 2.0, 3.0, 5.0])
+def test_the_chance_is_that_of_two_gaussians(d):
+    settles = norm.sf((PLATFORM.alike - d**2) / (2 * d)) + norm.cdf((-PLATFORM.alike - d**2) / (2 * d))
+    right = norm.sf((PLATFORM.alike - d**2) / (2 * d))
+    found = worth(HALF, apart(d))
+    np.testing.assert_allclose([found.settles, found.right], [settles, right], atol=0.06)
+
+
+def test_what_differs_in_nothing_tells_nothing_and_what_looks_the_same_stays_alike():
+    nothing = worth(HALF, apart(0.0))
+    assert nothing.bits < 1e-9 and nothing.settles == 0
+    far = apart(20.0)
+    assert worth(HALF, far).settles == pytest.approx(1) and worth(HALF, far).bits == pytest.approx(1.0)
+    same = Foretold(far.means, far.covariances, np.ones((2, 2)))
+    assert worth(HALF, same).settles == 0
+
+
+def test_what_costs_less_comes_first_among_those_that_settle():
+    def one(text, minutes, bits, settles):
+        return Experiment(text, 1, None, minutes, bits, settles)
+
+    order = ranked([one("long", 60.0, 1.0, 1.0), one("short", 2.0, 0.9, 0.95), one("cheap", 0.5, 0.3, 0.1)])
+    assert [e.text for e in order] == ["short", "long", "cheap"]
+
+
+def test_nothing_is_loaded_and_nothing_waits_unless_the_owner_allows():
+    assert not any("payload" in text or "wait" in text or "dwell" in text for text in kinds((), False))
+    assert any("payload" in text for text in kinds(("payload",), False)) and any("wait" in text for text in kinds(("wait",), False))
+    assert not any(text.startswith(("moving", "zigzag", "dwell", "payload")) for text in kinds(("wait", "payload"), True))

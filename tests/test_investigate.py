@@ -1,0 +1,72 @@
+"""rig investigate through the command line: what it asks by hand, what it refuses, and a lag found out by itself."""
+
+import json
+
+import pytest
+
+from rig.cli import main
+
+
+@pytest.fixture
+def rig(tmp_path, rig_text):
+    (tmp_path / "rig.toml").write_text(rig_text)
+    return tmp_path / "rig.toml"
+
+
+def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
+    words = ["investigate", str(rig), "--by-hand", "--out", str(tmp_path / "out"), "--plan", "sobol:4,payload:2"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "to do: carry out" in said and "plan1.csv (10 exposures" in said and "load 7.29 kg" in said and "--resume" in said
+    plan = (tmp_path / "out" / "plan1.csv").read_bytes()
+    assert main([*words, "--resume"]) == 0 and (tmp_path / "out" / "plan1.csv").read_bytes() == plan
+    assert main(words) == 1
+    assert "--resume goes on with it" in capsys.readouterr().err
+    (tmp_path / "out" / "rec1").mkdir()
+    (tmp_path / "out" / "rec1" / "frames.csv").write_text("frame,t\n")
+    (tmp_path / "out" / "rec1" / "rig.toml").write_text(rig.read_text())
+    assert main([*words, "--resume"]) == 1  # half a recording
+    assert "frames.csv" in capsys.readouterr().err
+    rig.write_text(rig.read_text().replace("mass = 12.15", "mass = 13.15"))
+    assert main([*words, "--resume"]) == 1
+    assert "is of another rig" in capsys.readouterr().err
+
+
+def test_what_cannot_be_investigated_is_refused(rig, tmp_path, capsys):
+    out = ["--out", str(tmp_path / "out")]
+    half = tmp_path / "half"
+    half.mkdir()
+    (half / "investigation.json").write_text('{"schema": "inv')
+    for words, says in (([str(tmp_path / "rgi.toml"), *out], "no such file"), ([str(rig), *out], "has no [controller]"),
+                        ([str(rig), *out, "--machine", str(tmp_path / "truht.json")], "no such file"),
+                        ([str(rig), *out, "--by-hand", "--verify", "3"], "--verify takes 12 to 400"),
+                        ([str(rig), *out, "--by-hand", "--plan", "sobl:3"], "there is no part"),
+                        ([str(rig), "--by-hand", "--resume", "--out", str(half)], "cut off"),
+                        ([str(rig), "--by-hand", "--resume", *out], "no such file")):
+        assert main(["investigate", *words]) == 1, words
+        assert says in capsys.readouterr().err, words
+    with pytest.raises(SystemExit):
+        main(["investigate", str(rig), *out, "--by-hand", "--budget", "2"])
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_lag_finds_its_name_and_goes_on_where_it_was_interrupted(rig, tmp_path, capsys):
+    truth, out = tmp_path / "truth.json", tmp_path / "out"
+    assert main(["simulate", str(rig), "--plan", "sobol:4", "--effect", "servo_lag:rig:time_constant=0.012", "--seed", "1", "--out",
+                 str(tmp_path / "first"), "--truth", str(truth)]) == 0
+    words = ["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "moving:30,sobol:40"]
+    assert main(words) == 0
+    notebook = (out / "notebook.md").read_text()
+    assert "alike: servo lag at rig" in notebook and "Tried: zigzag" in notebook and "dropped: time offset at clock" in notebook
+    assert "settled: yes" in notebook and "Nothing is alike any more." in notebook
+    page = (out / "notebook.html").read_text()
+    assert "<polyline" in page and "chance to settle" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert json.loads((out / "certificate" / "certificate.json").read_text())["schema"].startswith("certificate/")
+    (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
+    assert (finding["effect"], finding["place"]) == ("servo_lag", "rig")
+    for name in ("diagnosis2/next.json", "calibration.json"):  # as if it had been interrupted before these
+        (out / name).unlink()
+    capsys.readouterr()
+    assert main([*words, "--resume"]) == 0
+    assert "written: " + str(out / "rec2") not in capsys.readouterr().out and (out / "calibration.json").exists()
