@@ -19,8 +19,9 @@ def timeline_page(path: Path, rig: str, looks: Sequence[Look], budget: float, en
                   "stands at 1, one that was told apart at 0."), heading("What was tried"),
              table(("recording", "plan", "exposures", "min", "chance to settle, as stated", "settled"),
                    [_row(before, look) for before, look in zip((None, *looks), looks)])]
-    write(path, Page("investigate", f"What is the matter with {rig}", judged(looks, ended), [*parts, *([heading("And then"), listed(after)] if after
-                                                                                                         else [])], to_do(looks, ended)))
+    if after:
+        parts += [heading("And then"), listed(after)]
+    write(path, Page("investigate", f"What is the matter with {rig}", judged(looks, ended), parts, to_do(looks, ended)))
 
 
 def judged(looks: Sequence[Look], ended: str) -> Verdict:
