@@ -1,4 +1,4 @@
-"""rig export calibration.json --format genhexkins|urdf|json|csv|linuxcnc-comp|grid --out FILE."""
+"""rig export calibration.json --format genhexkins|urdf|sdf|json|csv|linuxcnc-comp|grid|.. --out FILE."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 TABLES = ("linuxcnc-comp", "grid")  # of corrections, not of the geometry
 CAMERAS = ("camera-info", "opencv")  # of a rig.toml, a file each
 SEEN = ("tum", "parquet")  # of a recording
-FORMATS = {"genhexkins": ("hexapod",), "urdf": ("arm",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
+FORMATS = {"genhexkins": ("hexapod",), "urdf": ("hexapod", "arm"), "sdf": ("hexapod",), "json": ("hexapod", "arm"), "csv": ("hexapod", "arm")}
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -25,9 +25,10 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("machine", metavar="CALIBRATION", type=Path, help="calibration.json, or a rig.toml for the machine as its owner has "
                         "it; for tum and parquet a recording")
     parser.add_argument("--format", choices=(*FORMATS, *TABLES, *CAMERAS, *SEEN), required=True, help="genhexkins: HAL settings of LinuxCNC; "
-                        "urdf: of an arm; linuxcnc-comp: what goes on top of genhexkins, a file for each joint in the folder OUT; "
-                        "grid: a CSV of what is to be added to the owner's model; camera-info, opencv: lenses of a rig.toml, a YAML file for each "
-                        "camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording or of what `rig measure` wrote")
+                        "urdf, sdf: for simulators, a hexapod's URDF as a tree; linuxcnc-comp: what goes on top of genhexkins, a file for each joint "
+                        "in the folder OUT; grid: a CSV of what is to be added to the owner's model; camera-info, opencv: lenses of a rig.toml, a "
+                        "YAML file for each camera in the folder OUT; tum, parquet: the poses, or all tables, of a recording or of what "
+                        "`rig measure` wrote")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
     parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
@@ -48,7 +49,7 @@ def run(arguments: Namespace) -> None:
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
         return
-    from rig.export import genhexkins, geometry, urdf
+    from rig.export import genhexkins, geometry, sdf, urdf, urdf_hexapod
     from rig.files import write_text
 
     mechanism, remainder, lead = _machine(arguments.machine)
@@ -65,7 +66,10 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"{arguments.format} takes a mechanism of kind {' or '.join(kinds)}; {arguments.machine} has one of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     text = {"genhexkins": lambda: genhexkins.text(hexapod_of(mechanism), arguments.units, lead, arguments.coupling),
-            "urdf": lambda: urdf.text(arm_of(mechanism), arguments.machine.stem), "json": lambda: geometry.as_json(_exported(mechanism)),
+            "urdf": lambda: (urdf.text(arm_of(mechanism), arguments.machine.stem) if mechanism.kind == "arm"
+                             else urdf_hexapod.text(hexapod_of(mechanism), arguments.machine.stem)),
+            "sdf": lambda: sdf.text(hexapod_of(mechanism), arguments.machine.stem),
+            "json": lambda: geometry.as_json(_exported(mechanism)),
             "csv": lambda: geometry.as_csv(_exported(mechanism))}[arguments.format]()
     if remainder:
         print(f"rig export: the calibration corrects axes {', '.join(map(str, remainder))} beyond the geometry; {arguments.format} cannot hold that, "

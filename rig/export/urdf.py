@@ -26,20 +26,21 @@ def text(arm: Arm, name: str = "arm") -> str:
         theta, d, a, alpha, beta = arm.rows[i]
         kind = "prismatic" if arm.slides[i] else "revolute"
         lines += [f'  <joint name="{axis}" type="{kind}">', f'    <parent link="{parent}"/>', f'    <child link="{child}"/>',
-                  f"    {_origin(behind * pose([0, 0, 0], [0, 0, theta]))}", '    <axis xyz="0 0 1"/>',
+                  f"    {origin(behind * pose([0, 0, 0], [0, 0, theta]))}", '    <axis xyz="0 0 1"/>',
                   f'    <limit lower="{low:.12g}" upper="{high:.12g}" effort="0" velocity="0"/>', "  </joint>"]
         behind = pose([a, 0, d], [alpha, 0, 0]) * pose([0, 0, 0], [0, beta, 0])
     lines += ['  <joint name="tool" type="fixed">', f'    <parent link="{links[-2]}"/>', '    <child link="platform"/>',
-              f"    {_origin(behind * getattr(arm, 'tool', identity))}", "  </joint>", "</robot>"]
+              f"    {origin(behind * getattr(arm, 'tool', identity))}", "  </joint>", "</robot>"]
     return "\n".join(lines) + "\n"
 
 
-def _origin(T: RigidTransform) -> str:
-    numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, _rpy(T.rotation))]
+def origin(T: RigidTransform) -> str:
+    """The element <origin> of a RigidTransform, m and rad."""
+    numbers = [" ".join(f"{value:.16g}" for value in values) for values in (T.translation, rpy(T.rotation))]
     return f'<origin xyz="{numbers[0]}" rpy="{numbers[1]}"/>'
 
 
-def _rpy(rotation: Rotation) -> np.ndarray:
+def rpy(rotation: Rotation) -> np.ndarray:
     """(3,) rad: turns about the fixed axes x, y, z, exact to rounding also where the second is a quarter turn."""
     R = rotation.as_matrix()
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
