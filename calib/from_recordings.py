@@ -1,7 +1,6 @@
 """Recordings -> a calibration, a diagnosis, a certificate: what the commands and a notebook call alike."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -10,17 +9,15 @@ from calib import store
 from calib.arms import certify as arm_certify
 from calib.certify import certificate
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Certified, Progress
-from calib.certify.claim import Claim
+from calib.certify.certificate import Progress
 from calib.chains import certify as chain_certify
-from calib.correct.physics import Physics
 from calib.diagnose.problems.arm.diagnose import diagnose as diagnose_arm
 from calib.diagnose.problems.platform.diagnose import diagnose as diagnose_platform
 from calib.diagnose.report import arm as arm_report
 from calib.diagnose.report import platform as platform_report
 from calib.diagnose.report.schema import Report
+from calib.kept import SEED, kept
 from calib.pipeline import Sampled, sample_recording
-from calib.pose_covariance import with_workspace
 from calib.statement import certificate as statement
 from calib.statement.certificate import Asked, Certificate
 from rig.errors import RigError
@@ -28,7 +25,6 @@ from rig.kinds import arm_of, chain_of, struts_of
 from rig.provenance import flat, marks, shared
 from rig.recording import Recording
 
-SEED = 0  # of draws; results are the same from run to run
 
 
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
@@ -48,23 +44,6 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
             return kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
         done = certificate.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
         return kept(recording, sampled, done, certificate.promised(sampled.samples, done, rng))
-
-
-def kept(recording: Recording, sampled: Sampled, done: Certified | arm_certify.Certified | chain_certify.Certified, claim: Claim,
-         arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
-         before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
-    """Calibration of what was found, with where it came from and what it does to the workspace.
-
-    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
-    """
-    frames, found = sampled.samples.frame, done.found
-    physics, covariance = (None, found.covariance) if known is None else known
-    source = store.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
-    if before is not None:
-        source = store.after(source, *before)
-    return with_workspace(Calibration(
-        done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics))
 
 
 def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:

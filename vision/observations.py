@@ -95,9 +95,22 @@ class Whitener:
         return together[sighting - first, corner]
 
 
+def inverse_roots(covariance: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) inverses of the Cholesky factors of covariances (n, 2, 2) px^2. Raises LinAlgError where one is not positive definite."""
+    first = np.sqrt(covariance[:, 0, 0])
+    below = covariance[:, 1, 0] / first
+    second = covariance[:, 1, 1] - below**2
+    if not ((covariance[:, 0, 0] > 0) & (second > 0)).all():
+        raise np.linalg.LinAlgError("a covariance of corners is not positive definite")
+    out = np.zeros(covariance.shape)
+    out[:, 0, 0], out[:, 1, 1] = 1 / first, 1 / np.sqrt(second)
+    out[:, 1, 0] = -below * out[:, 0, 0] * out[:, 1, 1]
+    return out
+
+
 def whitener(observations: Observations) -> Whitener:
     """Whitener of Observations."""
-    o, own = observations, np.linalg.inv(np.linalg.cholesky(observations.covariance))
+    o, own = observations, inverse_roots(observations.covariance)
     sighting = np.cumsum(np.r_[False, (np.diff(o.camera) != 0) | (np.diff(o.frame) != 0) | (np.diff(o.marker) != 0)][: len(o)])
     if o.correlation is None or not len(o):
         return Whitener(own, sighting, o.corner, None)

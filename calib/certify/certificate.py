@@ -1,6 +1,6 @@
 """What a calibration promises, from poses that it was not fitted to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +11,13 @@ from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim, promise
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
-from calib.correct.correction import Correction, calibrate
+from calib.correct.correction import Correction, calibrate, geometry
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
 from calib.samples import Samples, precision
 from calib.identify.tolerance import tolerance
 from rig.kinds import Struts
+from rig.parallel import parallel_map
 
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
@@ -63,42 +64,51 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     label = labels(samples.commanded, ranges(nominal))
     said = progress or silent
     said("fitting the geometry", 0, 1)
-    correction, found = calibrate(samples, nominal)
+    alone = geometry(samples, nominal)
+    correction, found = calibrate(samples, nominal, alone=alone)
     said("fitting the geometry", 1, 1)
-    if label.max() + 1 < LEAST:
-        if any(correction.remainder):  # nothing says whether it pays
-            correction, found = calibrate(samples, nominal, "none")
-        return Certified(correction, found, label, None)
-    before, plain = in_turn(samples, label, lambda some: calibrate(some, nominal, "none", found.prior)[0], "", said)
-    if any(correction.remainder):
-        like = correction.remainder
-        _, corrected = in_turn(samples, label, lambda some: calibrate(some, nominal, like, found.prior)[0], ", struts corrected", said)
-        weight = precision(samples.total_covariance())
-        loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(plain), np.nan_to_num(corrected))]
+    plain: Correction[Struts, Radial] = Correction(nominal, alone.mechanism, (None,) * len(nominal.axes))
+    if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
+        return Certified(plain, alone, label, None)
+    like, covariance = correction.remainder, samples.total_covariance()
+
+    def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
+        known = geometry(some, nominal, alone.prior)
+        return [calibrate(some, nominal, how, alone=known)[0] for how in (("none", like) if any(like) else ("none",))]
+
+    before, after, *more = in_turn(samples, label, corrections, said)
+    if more:
+        weight = precision(covariance)
+        loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if pays(loss[0] - loss[1]):
-            return Certified(correction, found, label, compare(before, corrected, samples.total_covariance(), rng, label))
-        correction, found = calibrate(samples, nominal, "none")
-    return Certified(correction, found, label, compare(before, plain, samples.total_covariance(), rng, label))
+            return Certified(correction, found, label, compare(before, more[0], covariance, rng, label))
+    return Certified(plain, alone, label, compare(before, after, covariance, rng, label))
 
 
 def silent(label: str, done: int, of: int) -> None:
     """A Progress that says nothing."""
 
 
-def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Correction[Any, Any]], how: str,
-            said: Progress) -> tuple[np.ndarray, np.ndarray]:
-    """(before, after) as `errors_of`, m and rad, of whole stretches held out in turn, each by the Correction of all others.
+def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Sequence[Correction[Any, Any]]], said: Progress) -> list[np.ndarray]:
+    """[before, after, after, ...], each (n, 6) as `errors_of`, m and rad, of whole stretches held out in turn, on all cores.
 
-    label : (n,) configuration of each sample; correct : a Correction by some samples; how : corrected, in words, for the Progress
+    label : (n,) configuration of each sample; correct : Corrections by some samples, as many each time
     """
     fold = folds(label, min(FOLDS, label.max() + 1))
-    before, after = np.empty((len(samples), 6)), np.empty((len(samples), 6))
-    name, count = f"holding configurations out{how}", int(fold.max()) + 1
-    said(name, 0, count)
-    for k in np.unique(fold):
-        before[fold == k], after[fold == k] = errors_of(correct(samples.take(fold != k)), samples.take(fold == k))
-        said(name, int(k) + 1, count)
-    return before, after
+
+    def errors(k: int) -> list[np.ndarray]:
+        rest = samples.take(fold == k)
+        each = [errors_of(correction, rest) for correction in correct(samples.take(fold != k))]
+        return [each[0][0], *(after for _, after in each)]
+
+    names = np.unique(fold).tolist()
+    said("holding configurations out", 0, len(names))
+    found = parallel_map(errors, names, lambda done, of: said("holding configurations out", done, of), few=1)
+    out = [np.empty((len(samples), 6)) for _ in found[0]]
+    for k, parts in zip(names, found):
+        for whole, part in zip(out, parts):
+            whole[fold == k] = part
+    return out
 
 
 def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:

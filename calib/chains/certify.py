@@ -43,7 +43,7 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     said("fitting the geometry", 1, 1)
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
-    before, after = in_turn(samples, label, lambda some: _corrected(nominal, identify(some, nominal)), "", said)
+    before, after = in_turn(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
     return Certified(correction, found, label, compare(before, after, samples.total_covariance(), rng, label))
 
 

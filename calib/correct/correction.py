@@ -27,6 +27,7 @@ from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.effects.covariate import DRAWN
 from rig.errors import NotConverged, Unreachable
 from rig.kinds import Struts, struts_of
+from rig.parallel import parallel_map
 
 ITERATIONS = 100
 TOLERANCE = 1e-12  # m
@@ -182,18 +183,24 @@ def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Seq
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find",
-              prior: np.ndarray | None = None) -> tuple[Correction[Struts, Radial], Identified]:
+def geometry(samples: Samples, nominal: Struts, prior: np.ndarray | None = None) -> Identified:
+    """Identified geometry of samples alone, no remainder taken off. prior : (p,) m, how good the owner's figures are, or None: as these samples
+    have it. Raises NotEnoughData as `identify`"""
+    return identify(samples, nominal, prior=tolerance(identify(samples, nominal), nominal).prior if prior is None else prior)
+
+
+def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find", prior: np.ndarray | None = None,
+              alone: Identified | None = None) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
     samples : Samples; nominal : the owner's; prior : (p,) m, how good its figures are, or None: as these samples have it
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
-    None takes over size and smoothness from there. Raises RigError for a machine without struts, NotEnoughData as `identify`
+    None takes over size and smoothness from there; alone : `geometry` of the same, where it is known already
+    Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = struts_of(nominal)
-    if prior is None:
-        prior = tolerance(identify(samples, nominal), nominal).prior
-    found = identify(samples, nominal, prior=prior)
+    found = geometry(samples, nominal, prior) if alone is None else alone
+    prior = found.prior
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
@@ -215,5 +222,11 @@ def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tup
     left = found.residuals + Correction(nominal, nominal, before).rho(samples.effective)
     variances = np.einsum("nii->ni", found.residual_covariance)
     given = any(like)
-    return tuple(radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
-                 if (like[i] is not None if given else found.scatter[i]) else None for i in range(len(like)))
+
+    def part(i: int) -> Radial | None:
+        if (like[i] is None) if given else not found.scatter[i]:
+            return None
+        return radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
+
+    axes = range(len(like))
+    return tuple([part(i) for i in axes] if given else parallel_map(part, axes, few=1))

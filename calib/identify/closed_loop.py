@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.kernel import njit
+from rig.turning import turn
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
@@ -86,22 +87,6 @@ def forward_in_place(L: np.ndarray, B: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _turn(R: np.ndarray, w: np.ndarray) -> None:
-    """R (3, 3) becomes R exp(w) for a rotation vector w (3,)."""
-    x, y, z = w[0], w[1], w[2]
-    angle = np.sqrt(x * x + y * y + z * z)
-    if angle < 1e-4:
-        s, c = 1.0 - angle**2 / 6, 0.5 - angle**2 / 24
-    else:
-        s, c = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2
-    for i in range(3):
-        r0, r1, r2 = R[i, 0], R[i, 1], R[i, 2]
-        R[i, 0] = r0 * (1 - c * (y * y + z * z)) + r1 * (s * z + c * x * y) + r2 * (c * x * z - s * y)
-        R[i, 1] = r0 * (c * x * y - s * z) + r1 * (1 - c * (x * x + z * z)) + r2 * (s * x + c * y * z)
-        R[i, 2] = r0 * (s * y + c * x * z) + r1 * (c * y * z - s * x) + r2 * (1 - c * (x * x + y * y))
-
-
-@njit(cache=True)
 def struts(R: np.ndarray, t: np.ndarray, p: np.ndarray, length: np.ndarray, u: np.ndarray, A: np.ndarray) -> None:
     """Into length (6,), unit directions u (6, 3) in the base and A (6, 6): the struts at pose R, t for parameters p (42,)."""
     for i in range(6):
@@ -141,7 +126,7 @@ def pose_of(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) ->
             t[i] += share * (R[i, 0] * right[0, 0] + R[i, 1] * right[1, 0] + R[i, 2] * right[2, 0])
         for i in range(3, 6):
             right[i, 0] *= share
-        _turn(R, right[3:, 0])
+        turn(R, right[3:, 0])
     return worst < 1e-11
 
 

@@ -182,7 +182,7 @@ def _scatter(left: np.ndarray, S: np.ndarray, inliers: np.ndarray, spent: int) -
     own = np.einsum("nii->ni", S)[inliers].mean(axis=0) * max(1 - spent / count, 0.1)
     seen = (left[inliers] ** 2).mean(axis=0)
     freedom = count - spent
-    return np.where(seen > own * scipy.stats.chi2.isf(scipy.stats.norm.sf(EXCESS), freedom) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
+    return np.where(seen > own * scipy.special.chdtri(freedom, scipy.special.ndtr(-EXCESS)) / freedom, np.sqrt(np.maximum(seen - own, 0)), 0.0)
 
 
 def _inliers(left: np.ndarray, S: np.ndarray, scatter: np.ndarray) -> np.ndarray:

@@ -130,8 +130,8 @@ def _step(data: np.ndarray, c: int, weight: np.ndarray, to_mean: np.ndarray, bas
 def _agreeing(left: np.ndarray, inliers: np.ndarray) -> np.ndarray:
     """(n,) bool, the blocks whose residual (n, m) is no larger than the others' scale makes likely."""
     square, m = (left**2).sum(axis=1), left.shape[1]
-    scale = max(1.0, float(np.median(square[inliers])) / scipy.stats.chi2.ppf(0.5, m))
-    return square < scale * scipy.stats.chi2.isf(GATE, m)
+    scale = max(1.0, float(np.median(square[inliers])) / scipy.special.chdtri(m, 0.5))
+    return square < scale * scipy.special.chdtri(m, GATE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

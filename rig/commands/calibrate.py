@@ -293,7 +293,7 @@ def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertifi
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified | ChainCertified, claim: Claim,
             known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
     from calib import store
-    from calib.from_recordings import kept
+    from calib.kept import kept
 
     calibration = kept(recording, sampled, done, claim, argv, known, before)
     store.save(out, calibration)

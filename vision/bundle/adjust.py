@@ -13,6 +13,7 @@ import numpy as np
 from rig.design import Camera
 from rig.errors import NotEnoughData, RigError
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
+from vision.bundle.condensed import condensed
 from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.motions import move, offset, to_datums
 from vision.bundle.printing import Printing
@@ -95,21 +96,25 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     W = whitener(observations)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
+    few, spare = condensed(observations, state)
+    V = W if few is observations else whitener(few)
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
-            residual, derivatives = linearise(observations, estimate, u, W)
+            residual, derivatives = linearise(few, estimate, u, V)
             away = offset(estimate, stated, u)
-            cost = float((residual**2).sum() + (u.prior * away**2).sum())
-            blocks = normal_equations(observations, derivatives, residual, u, away)
+            cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
+            blocks = normal_equations(few, derivatives, residual, u, away)
             if progress:
                 progress(cost)
         steps = step(blocks, u, damping)
         moved = move(estimate, u, *steps)
-        new = cost_of(observations, moved, stated, u, W)
+        new = cost_of(few, moved, stated, u, V) + spare
         if not new <= cost:
             if promised(blocks, *(step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
-                break  # at the bottom: what a step still promises drowns in the rounding of the cost
+                if new - cost <= CONVERGED * max(cost, 1.0):
+                    estimate = moved
+                break  # at the bottom: what a step still promises drowns in the rounding of the cost; taken, it is as good to the last digits
             damping = max(MORE * damping, LEAST)
             if damping > 1e8:
                 raise NoOptimum(f"the adjustment of {len(observations)} corners finds no way down from a cost of {cost:.6g}")
@@ -120,7 +125,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
             break
     else:
         raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return replace(_finish(observations, to_datums(estimate, stated, u), stated, u, W, tuple(free)), printing=printing)
+    return replace(_finish(observations, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
 
 
 def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
@@ -131,10 +136,13 @@ def cost_of(observations: Observations, estimate: Estimate, stated: State, unkno
     return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
 
 
-def _finish(observations: Observations, estimate: Estimate, stated: State, u: Unknowns, W: Whitener, free: tuple[str, ...]) -> Adjustment:
-    residual, derivatives = linearise(observations, estimate, u, W)
+def _finish(observations: Observations, estimate: Estimate, stated: State, u: Unknowns, free: tuple[str, ...]) -> Adjustment:
+    few, _ = condensed(observations, estimate.state)
+    residual, derivatives = linearise(few, estimate, u, whitener(few))
     away = offset(estimate, stated, u)
-    blocks = normal_equations(observations, derivatives, residual, u, away)
+    blocks = normal_equations(few, derivatives, residual, u, away)
+    uv, _ = predict(observations, estimate.state)
+    residual = whitener(observations)(observations.uv - uv)
     gain, reduced, _ = reduce(blocks)
     factor = u.basis @ _inverse_root(u.basis.T @ reduced @ u.basis, u)
     given = np.linalg.inv(blocks.local)[:, :6, :6] * POSE_SCALE**2
@@ -142,7 +150,6 @@ def _finish(observations: Observations, estimate: Estimate, stated: State, u: Un
     own = factor * u.scale[:, None]
     taken = u.basis.shape[1] - (u.prior[:, None] * factor**2).sum()  # a term held by what was stated takes no observation
     dof = float(2 * len(observations) - u.used.sum() - taken)
-    uv, _ = predict(observations, estimate.state)
     return Adjustment(estimate.state, observations.uv - uv, residual, given, (gain @ factor)[:, :6] * POSE_SCALE, own, u.names,
                       np.where(u.prior > 0, u.scale, np.inf), dof, cost, u, stated, free)
 

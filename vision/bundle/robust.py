@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
 from vision.bundle.adjust import Adjustment, adjust
-from vision.observations import Observations, only
+from vision.bundle.condensed import repeats
+from vision.observations import Observations, inverse_roots, only
 from vision.pose.frames import PLATFORM
 from vision.predict import State, predict
 
@@ -111,18 +112,6 @@ def _scatter(observations: Observations, inliers: np.ndarray, state: State) -> n
     return ((alike + np.where(known, total, 0) / typical) / (alike + np.where(known, size, 0)))[group]
 
 
-def repeats(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows (n,) of the base's corners that fixed cameras see, which of their groups each is of (n,), how many each group has (groups,)).
-
-    A group is one corner of one marker in one camera, frame after frame. inliers : (n,) bool, rows that count
-    """
-    fixed = np.array([i not in state.moving for i in range(len(state.cameras))])
-    rows = np.flatnonzero(inliers & ~observations.on_platform & fixed[observations.camera])
-    key = (observations.camera[rows] * (observations.marker.max(initial=0) + 1) + observations.marker[rows]) * 4 + observations.corner[rows]
-    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-    return rows, index, count
-
-
 def standing_error(observations: Observations, inliers: np.ndarray, state: State) -> tuple[np.ndarray, float]:
     """(covariances (n, 2, 2) to weigh corners by, standing error px).
 
@@ -172,7 +161,7 @@ def _medians(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 def _squares(observations: Observations, state: State) -> np.ndarray:
     """(n,) whitened squares of how far the corners lie from where the state puts them; infinite behind a camera."""
-    whitener = np.linalg.inv(np.linalg.cholesky(observations.covariance))
+    whitener = inverse_roots(observations.covariance)
     uv, ahead = predict(observations, state)
     square = ((whitener @ (observations.uv - uv)[..., None])[..., 0] ** 2).sum(axis=1)
     square[(ahead[:, 2] <= 0) | ~np.isfinite(square)] = np.inf

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.bundle.adjust import Adjustment, adjust
+from vision.bundle.condensed import repeats
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
 from vision.bundle.motions import offset
 from vision.bundle.printing import KINDS, NAMES, Printing
-from vision.bundle.robust import Sorted, repeats, standing_error, within_gate
+from vision.bundle.robust import Sorted, standing_error, within_gate
 from vision.bundle.unknowns import unknowns
 from vision.observations import Observations, only, whitener
 from vision.predict import State

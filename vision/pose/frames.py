@@ -7,22 +7,26 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera
+from rig.parallel import parallel_map
 from vision.observations import Observations
-from vision.pose.locate import Located, Unsolved, View, locate, undistorted
-from vision.pose.neighbours import astray, choose
+from vision.pose.locate import Located, Unsolved, View, inverse, locate, undistorted
+from vision.pose.neighbours import Poses, astray, choose
 from vision.targets import MarkerMap
 
 SHARED = 3  # frames that two cameras must share for the body to say how they stand to each other
+TOGETHER = 16  # frames that one process locates before it takes more
 PLATFORM = -1  # among the bodies of `vouched`; a moving camera's own number stands for the base seen from it
+
+Call = tuple[int, np.ndarray, np.ndarray]  # frame, rows of the observations, T_camera_world (c, 4, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """poses : {frame: T_base_platform}; moving : {camera: {frame: T_base_camera}}; unsolved : {frame: reason}
+    """poses : {frame: (4, 4) T_base_platform}; moving : {camera: {frame: (4, 4) T_base_camera}}; unsolved : {frame: reason}
     vouched : {(frame, body)} whose one sighting the frames before and after confirm."""
 
-    poses: dict[int, RigidTransform]
-    moving: dict[int, dict[int, RigidTransform]]
+    poses: Poses
+    moving: dict[int, Poses]
     unsolved: dict[int, str]
     vouched: set[tuple[int, int]]
 
@@ -35,8 +39,11 @@ class Frames:
         return {i: _filled(T, count) for i, T in self.moving.items()}
 
 
-def _filled(poses: dict[int, RigidTransform], count: int) -> RigidTransform:
-    return RigidTransform.concatenate([poses.get(f, RigidTransform.identity()) for f in range(count)])
+def _filled(poses: Poses, count: int) -> RigidTransform:
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    for f, matrix in poses.items():
+        matrices[f] = matrix
+    return RigidTransform.from_matrix(matrices)
 
 
 class Views:
@@ -119,44 +126,50 @@ def locate_frames(views: Views, cameras: Sequence[Camera], t: np.ndarray | None 
     for i, camera in enumerate(cameras):
         if camera.mount != "moving":
             continue
-        answers = {f: views.locate(rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)}
-        found, alone, why = _decided(answers, t)
-        moving[i] = {f: T.inv() for f, T in found.items()}
+        calls = [(f, rows[~o.on_platform[rows] & (o.camera[rows] == i)], views.identity) for f, rows in enumerate(rows_of)]
+        found, alone, why = _decided(_answers(views, calls), t)
+        moving[i] = {f: inverse(matrix) for f, matrix in found.items()}
         vouched |= {(f, i) for f in alone}
         lost[i] = {f: f"moving camera {camera.name!r} is lost: {reason}" for f, reason in why.items()}
     fixed = np.array([camera.pose.inv().as_matrix() for camera in cameras])
-    answers = {}
+    calls = []
     for f, rows in enumerate(rows_of):
         T_camera_world = fixed.copy()
         for i, poses in moving.items():
             if f in poses:
-                T_camera_world[i] = poses[f].inv().as_matrix()
+                T_camera_world[i] = inverse(poses[f])
             else:
-                poses[f] = cameras[i].pose
+                poses[f] = cameras[i].pose.as_matrix()
         seen = rows[o.on_platform[rows]]
         known = np.array([f not in lost.get(i, {}) for i in o.camera[seen].tolist()], bool)
         if len(seen) and not known.any():
             unsolved[f] = next(lost[i][f] for i in o.camera[seen].tolist())
         else:
-            answers[f] = views.locate(seen[known], T_camera_world)
-        if progress:
-            progress(f + 1, count)
+            calls.append((f, seen[known], T_camera_world))
+    answers = _answers(views, calls, progress)
     poses, alone, why = _decided(answers, t)
     return Frames(poses, moving, unsolved | why, vouched | {(f, PLATFORM) for f in alone})
 
 
-def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[dict[int, RigidTransform], set[int], dict[int, str]]:
-    """({frame: T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
-    found = {f: answer.T_world_body.as_matrix() for f, answer in answers.items() if answer}
+def _answers(views: Views, calls: Sequence[Call], progress: Callable[[int, int], None] | None = None) -> dict[int, Located | Unsolved]:
+    """{frame: Located or Unsolved} of calls, on all cores where they are many."""
+    parts = [calls[at : at + TOGETHER] for at in range(0, len(calls), TOGETHER)]
+    found = parallel_map(lambda part: [views.locate(rows, T) for _, rows, T in part], parts,
+                         progress and (lambda done, of: progress(min(done * TOGETHER, len(calls)), len(calls))))
+    return {f: answer for part, answers in zip(parts, found) for (f, _, _), answer in zip(part, answers)}
+
+
+def _decided(answers: dict[int, Located | Unsolved], t: np.ndarray | None) -> tuple[Poses, set[int], dict[int, str]]:
+    """({frame: (4, 4) T_world_body}, frames decided by their neighbours, {frame: reason}) of {frame: Located or Unsolved}."""
+    found = {f: answer.matrix for f, answer in answers.items() if answer}
     why = {f: answer.reason for f, answer in answers.items() if not answer}
     chosen = {}
     if t is not None:
         for f, reason in astray(found, t).items():
             del found[f]
             why[f] = reason
-        doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.T_world_body.as_matrix() for one in answer.candidates]
+        doubtful: dict[int, Sequence[np.ndarray]] = {f: [one.matrix for one in answer.candidates]
                                                      for f, answer in answers.items() if not answer and answer.candidates}
         chosen = choose(found, doubtful, t)
         why.update({f: f"{why[f]}, and the frames before and after do not decide it" for f in doubtful if f not in chosen})
-    poses = {f: RigidTransform.from_matrix(matrix) for f, matrix in (found | chosen).items()}
-    return poses, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}
+    return found | chosen, set(chosen), {f: reason for f, reason in why.items() if f not in chosen}

@@ -6,22 +6,19 @@ from typing import Literal, NamedTuple, final
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera
-from rig.pose import skew
 from vision import lens
+from vision.pose.refine import AHEAD, GATE, refine
 from vision.targets import SQUARE, MarkerMap
 
 CONSENSUS = 10.0  # px; a corner farther than this from where a candidate puts it speaks against the candidate
-GATE = 5.0  # standard deviations; beyond, a corner is an outlier
 FINEST = 0.02  # px; a robust scale below this is rounding, not noise
 SAME = 0.05  # rad, and fraction of the distance: closer poses are one
 RIVAL = 25.0  # chi-square by which the best pose must beat a different one
 FIRST_SIGHTINGS = 4  # sightings tried as candidates before all the others are
 AGREED = 0.8  # share of corners in consensus at which the first sightings suffice
-ITERATIONS = 25
-AHEAD = 1e-6  # m; what is nearer to the camera's plane is behind it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,11 +45,16 @@ class View:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given; inliers : (n,) bool."""
+    """matrix : (4, 4) T_world_body; covariance : (6, 6) on the right, for the corners' covariance as given; inliers : (n,) bool."""
 
-    T_world_body: RigidTransform
+    matrix: np.ndarray
     covariance: np.ndarray
     inliers: np.ndarray
+
+    @property
+    def T_world_body(self) -> RigidTransform:
+        """The pose."""
+        return RigidTransform.from_matrix(self.matrix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +124,10 @@ def locate(view: View, marker_map: MarkerMap, finest: float = FINEST) -> Located
     agreeing = sum(inliers[rows].sum() >= 3 for _, _, rows in sightings)
     if agreeing < 2 or 2 * agreeing < len(sightings):
         return Unsolved(f"the markers contradict each other: {agreeing} of {len(sightings)} sightings of markers {seen} agree on a pose")
-    located = Located(RigidTransform.from_matrix(matrix), covariance, inliers)
+    located = Located(matrix, covariance, inliers)
     alternative = _alternative(view, matrices, distance, matrix, square, scale, finest)
     if alternative is not None:
-        turn = np.degrees(_turn(alternative.T_world_body.as_matrix(), matrix))
+        turn = np.degrees(_turn(alternative.matrix, matrix))
         return Unsolved(f"two poses {turn:.0f} degrees apart fit markers {seen} equally well", (located, alternative))
     return located
 
@@ -135,7 +137,7 @@ def _alone(view: View, matrices: np.ndarray, distance: np.ndarray, finest: float
     refined = [_refine(view, matrix, near < CONSENSUS, finest) for matrix, near in zip(matrices, distance)]
     found = sorted((one for one in refined if one is not None), key=lambda one: one[3])
     worst = found[0][3] + RIVAL * max(1.0, found[0][3] / 2) if found else 0.0  # eight figures less six unknowns leave two
-    return tuple(Located(RigidTransform.from_matrix(one[0]), *one[1:3]) for k, one in enumerate(found)
+    return tuple(Located(*one[:3]) for k, one in enumerate(found)
                  if one[3] < worst and all(_apart(one[0], other[0]) is not None for other in found[:k]))
 
 
@@ -155,7 +157,7 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
     for camera, marker, rows in sightings:
         count, rotations, translations, _ = cv2.solvePnPGeneric(marker_map.side[marker] * SQUARE, view.ideal[rows], np.eye(3), None,
                                                                 flags=cv2.SOLVEPNP_IPPE_SQUARE)
-        T_world_camera, T_marker_body = _inverse(view.T_camera_world[camera]), _inverse(marker_map.T_body_marker[marker].as_matrix())
+        T_world_camera, T_marker_body = inverse(view.T_camera_world[camera]), inverse(marker_map.T_body_marker[marker].as_matrix())
         for k in range(count):
             T_camera_marker = np.eye(4)
             T_camera_marker[:3, :3], T_camera_marker[:3, 3] = cv2.Rodrigues(rotations[k])[0], translations[k].ravel()
@@ -165,7 +167,8 @@ def _candidates(view: View, sightings: Sequence[_Sighting], marker_map: MarkerMa
     return matrices, _distances(view, matrices)
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """(4, 4) inverse of a pose (4, 4)."""
     out = np.eye(4)
     out[:3, :3] = matrix[:3, :3].T
     out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
@@ -189,60 +192,21 @@ def _distances(view: View, matrices: np.ndarray) -> np.ndarray:
 
 
 def _refine(view: View, matrix: np.ndarray, inliers: np.ndarray, least: float) -> _Refined | None:
-    """A robust Gauss-Newton; None where it falls apart.
-
-    least : px, the robust scale's floor. Geman-McClure weights whose scale comes down with the residuals' own, then a plain fit of the inliers.
-    """
-    finite = np.isfinite(view.ideal[:, 0])
-    whitener = np.linalg.inv(np.linalg.cholesky(np.where(finite[:, None, None], view.covariance, np.eye(2))))
-    typical = view.focal[view.camera] * np.sqrt(np.einsum("nii->n", view.covariance) / 2)
-    finest = least / np.median(typical[finite])
-    inliers, hard, calm = inliers & finite, False, False
-    for iteration in range(ITERATIONS):
-        if inliers.sum() < 4:
-            return None
-        linear = _linearise(view, matrix, whitener)
-        if linear is None:
-            return None
-        r, J = linear
-        square = np.where(finite, (r**2).sum(axis=1), np.inf)
-        scale = max(np.sqrt(np.median(square[inliers]) / 1.386), finest)  # median of chi-square with 2 degrees of freedom
-        gate = square < (GATE * scale) ** 2
-        if hard and calm and (gate == inliers).all():
-            break
-        hard = hard or calm or iteration > 10
-        inliers = gate if hard else inliers | gate
-        weight = inliers.astype(float) if hard else 1 / (1 + square / (3 * scale) ** 2) ** 2
-        A = (J * weight[:, None, None]).reshape(-1, 6)
-        try:
-            step = np.linalg.solve(A.T @ J.reshape(-1, 6), A.T @ r.ravel())
-        except np.linalg.LinAlgError:
-            return None
-        matrix = matrix.copy()
-        matrix[:3, 3] += matrix[:3, :3] @ step[:3]
-        matrix[:3, :3] = matrix[:3, :3] @ Rotation.from_rotvec(step[3:]).as_matrix()
-        calm = np.abs(step).max() < 1e-5
-    inliers = inliers & np.isfinite(_distances(view, matrix[None])[0])
-    if inliers.sum() < 4:
+    """A robust Gauss-Newton from a pose and who agrees with it; None where it falls apart. least : px, the robust scale's floor"""
+    matrix, inliers = matrix.copy(), inliers.copy()
+    J, square = np.zeros((len(view.points), 2, 6)), np.zeros(len(view.points))
+    try:
+        scale = refine((view.points, view.ideal, view.covariance, view.camera), view.T_camera_world, view.focal, matrix, inliers, least, J, square)
+    except np.linalg.LinAlgError:
         return None
-    H = J[inliers].reshape(-1, 6).T @ J[inliers].reshape(-1, 6)
+    inliers &= np.isfinite(_distances(view, matrix[None])[0])
+    if np.isnan(scale) or inliers.sum() < 4:
+        return None
+    used = J[inliers].reshape(-1, 6)
+    H = used.T @ used
     if np.linalg.cond(H) > 1e14:
         return None
     return _Refined(matrix, np.linalg.inv(H), inliers, float(np.minimum(square, (GATE * scale) ** 2).sum()), float(scale))
-
-
-def _linearise(view: View, matrix: np.ndarray, whitener: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Whitened residuals (n, 2) and Jacobian (n, 2, 6); None where a point falls behind its camera."""
-    R, ahead = _ahead(view, matrix)
-    if (ahead[:, 2] <= AHEAD).any():
-        return None
-    ideal = ahead[:, :2] / ahead[:, 2:]
-    J_point = np.zeros((len(ideal), 2, 3))
-    J_point[:, 0, 0] = J_point[:, 1, 1] = 1 / ahead[:, 2]
-    J_point[:, :, 2] = -ideal / ahead[:, 2:]
-    to_body = whitener @ J_point @ R
-    r = (whitener @ np.nan_to_num(view.ideal - ideal)[..., None])[..., 0]
-    return r, np.concatenate([to_body, -(to_body @ skew(view.points))], axis=-1)
 
 
 def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix: np.ndarray, square: float, scale: float,
@@ -262,7 +226,7 @@ def _alternative(view: View, matrices: np.ndarray, distance: np.ndarray, matrix:
         if alternative is None or not alternative.square - square < worse or alternative.inliers.sum() < 0.9 * len(alternative.inliers) - 1:
             continue
         if _apart(alternative.matrix, matrix) is not None:
-            return Located(RigidTransform.from_matrix(alternative.matrix), alternative.covariance, alternative.inliers)
+            return Located(*alternative[:3])
     return None
 
 
@@ -275,4 +239,6 @@ def _apart(a: np.ndarray, b: np.ndarray) -> float | None:
 
 def _turn(a: np.ndarray, b: np.ndarray) -> float:
     """Angle (rad) between the rotations of two poses (4, 4)."""
-    return float(np.linalg.norm(Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()))
+    M = a[:3, :3].T @ b[:3, :3]
+    sine = np.sqrt((M[2, 1] - M[1, 2]) ** 2 + (M[0, 2] - M[2, 0]) ** 2 + (M[1, 0] - M[0, 1]) ** 2)
+    return float(np.arctan2(sine, M[0, 0] + M[1, 1] + M[2, 2] - 1))

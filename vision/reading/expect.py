@@ -39,7 +39,8 @@ class Expectation:
     def locate(self, corners: Corners, frame: int, design: Design) -> RigidTransform | None:
         """T_base_platform of a frame from its Corners alone, or None."""
         observations = from_corners(corners, np.array([frame]), design, self.markers)
-        return locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses.get(0) if len(observations) else None
+        poses = locate_frames(Views(observations, self.cameras, self.markers, FINEST), self.cameras).poses if len(observations) else {}
+        return RigidTransform.from_matrix(poses[0]) if 0 in poses else None
 
 
 def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repeated: Sequence[int], markers: MarkerMap) -> Expectation | None:

@@ -159,8 +159,8 @@ class Live:
         found = locate_frames(views, cameras)
         if 0 not in found.poses:
             return replace(nothing, reason=found.unsolved[0])
-        T = found.poses[0]
-        state = State(cameras, RigidTransform.concatenate([T]), found.all_moving(1))
+        T = RigidTransform.from_matrix(found.poses[0])
+        state = State(cameras, found.all_poses(1), found.all_moving(1))
         on = np.flatnonzero(observed.on_platform)
         T_camera_base = np.array([state.moving[i][0].inv().as_matrix() if i in state.moving else camera.pose.inv().as_matrix()
                                   for i, camera in enumerate(cameras)])

@@ -14,6 +14,7 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 
 from calib.correct.interpolate.field import Known, merged
+from calib.correct.interpolate.likelihood import Likelihood, noise_only
 
 LARGEST = 400  # samples on which size and smoothness are found; more are thinned out for that
 STARTS = ((0.1, 1.5), (0.6, 1.5))  # smoothness to start from, in half strokes: along the strut, over the configuration
@@ -139,11 +140,11 @@ def fit(configurations: np.ndarray, values: np.ndarray, variances: np.ndarray, a
 def _hyper(scaled: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> np.ndarray | None:
     """(5,) size, length, size, length, noise of greatest likelihood, or None where noise alone is likelier for its simplicity."""
     thin = np.arange(0, len(y), max(1, -(-len(y) // LARGEST)))
-    fits = [scipy.optimize.minimize(_likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]),
-                                    (scaled[thin], y[thin], v[thin], axis), jac=True, method="L-BFGS-B", bounds=BOUNDS,
-                                    options={"maxiter": 40}) for own, whole in STARTS]
+    likelihood = Likelihood(scaled[thin], y[thin], v[thin], axis)
+    fits = [scipy.optimize.minimize(likelihood, np.array([0.0, np.log(own), 0.0, np.log(whole), -2.0]), jac=True,
+                                    method="L-BFGS-B", bounds=BOUNDS, options={"maxiter": 40}) for own, whole in STARTS]
     best = min(fits, key=lambda fit: fit.fun)
-    null = scipy.optimize.minimize(lambda p: _noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
+    null = scipy.optimize.minimize(lambda p: noise_only(p, y[thin], v[thin]), [-2.0], jac=True, method="L-BFGS-B", bounds=BOUNDS[-1:])
     return None if null.fun - best.fun < 2 * np.log(len(thin)) else np.exp(best.x)  # four more parameters at log(n)/2 each
 
 
@@ -151,25 +152,3 @@ def _kernels(a: np.ndarray, b: np.ndarray, axis: int, lengths: np.ndarray) -> tu
     own = np.exp(-0.5 * ((a[:, None, axis] - b[None, :, axis]) / lengths[0]) ** 2)
     square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return own, np.exp(-0.5 * np.maximum(square, 0) / lengths[1] ** 2)
-
-
-def _likelihood(p: np.ndarray, x: np.ndarray, y: np.ndarray, v: np.ndarray, axis: int) -> tuple[float, np.ndarray]:
-    """Negative log likelihood and its gradient to the logarithms of size, length, size, length, noise."""
-    size1, length1, size2, length2, noise = np.exp(p)
-    gap = (x[:, None, axis] - x[None, :, axis]) ** 2
-    square = np.maximum((x**2).sum(axis=1)[:, None] + (x**2).sum(axis=1) - 2 * x @ x.T, 0)
-    own, whole = size1**2 * np.exp(-0.5 * gap / length1**2), size2**2 * np.exp(-0.5 * square / length2**2)
-    K = own + whole + np.diag(v + noise**2)
-    factor = cho_factor(K, lower=True)
-    alpha = cho_solve(factor, y)
-    value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum()
-    outer = cho_solve(factor, np.eye(len(y))) - np.outer(alpha, alpha)
-    parts = (2 * own, own * gap / length1**2, 2 * whole, whole * square / length2**2)
-    gradient = [0.5 * np.sum(outer * part) for part in parts] + [noise**2 * np.trace(outer)]
-    return value, np.array(gradient)
-
-
-def _noise_only(p: np.ndarray, y: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray]:
-    total = v + np.exp(2 * p[0])
-    value = 0.5 * np.sum(y**2 / total + np.log(total))
-    return value, np.array([np.sum((1 / total - y**2 / total**2) * np.exp(2 * p[0]))])

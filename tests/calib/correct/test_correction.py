@@ -76,16 +76,6 @@ def test_the_remainder_fades_beyond_the_samples(design):
     assert np.abs(part(np.full(6, 0.53))) < 1e-7 and part(np.zeros((2, 3, 6))).shape == (2, 3)
 
 
-def test_likelihood_gradient_agrees_with_differences():
-    from tests.numeric import jacobian
-
-    rng = np.random.default_rng(1)
-    x, y, v = rng.uniform(-1, 1, (30, 6)), rng.normal(size=30), rng.uniform(0.5, 1, 30)
-    p = np.array([-0.3, -0.5, 0.2, 0.4, -1.0])
-    numeric = jacobian(lambda q: radial._likelihood(q, x, y, v, 3)[0], p)
-    np.testing.assert_allclose(radial._likelihood(p, x, y, v, 3)[1], numeric, rtol=1e-5, atol=1e-6)
-
-
 def test_unreachable_poses_are_all_listed(design):
     correction = Correction(design.mechanism, design.mechanism, (None,) * 6)
     commands = np.tile(design.mechanism.strut_range.mean(axis=1), (3, 1))

@@ -10,7 +10,7 @@ from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
 from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from calib.diagnose.engine.parallel import parallel_map
+from rig.parallel import parallel_map
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import Finding, choose, labelled, select

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnose.engine.parallel import parallel_map
+from rig.parallel import parallel_map
 from calib.diagnose.engine.ranking import Covariate, Share, ranked, share
 from calib.diagnose.problems.histories import courses, each_apart, moves
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel

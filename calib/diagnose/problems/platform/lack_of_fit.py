@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
-from calib.diagnose.engine.parallel import parallel_map
+from rig.parallel import parallel_map
 from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel

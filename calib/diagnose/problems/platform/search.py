@@ -9,7 +9,7 @@ import numpy as np
 from calib.diagnose.engine import products as inner
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
-from calib.diagnose.engine.parallel import Progress, parallel_map
+from rig.parallel import Progress, parallel_map
 from calib.diagnose.engine.products import FrameProducts, Solved
 from calib.diagnose.engine.score import at_node, best_of, unlikely
 from calib.diagnose.problems.platform import spectrum

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from calib.diagnose.engine import parallel
+from rig import parallel
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.linearised import linearise

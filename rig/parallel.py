@@ -19,12 +19,13 @@ _inherited: tuple[Callable, Sequence] | None = None  # what the processes forked
 def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Progress | None = None, few: int = FEW) -> list:
     """[function(thing)] in the things' order; what it changes elsewhere is lost, what it raises is raised here.
 
-    It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1.
+    It takes one process where the system cannot fork or OMP_NUM_THREADS, which limits the processes as it does threads, is 1, and within
+    a process that another call of it forked.
     progress : called with (done, of), or None; few : things for each process, below which it is not worth starting any
     """
     global _inherited
     count = min(cores(), len(things) // few)
-    if count < 2 or "fork" not in multiprocessing.get_all_start_methods():
+    if count < 2 or _inherited is not None or "fork" not in multiprocessing.get_all_start_methods():
         out = []
         for thing in things:
             out.append(function(thing))

@@ -1,0 +1,36 @@
+"""What was found of a recording, kept as a calibration: with where it came from and what it does to the workspace."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib import store
+from calib.arms.certify import Certified as ArmCertified
+from calib.certify.calibration import Calibration
+from calib.certify.certificate import Certified
+from calib.certify.claim import Claim
+from calib.chains.certify import Certified as ChainCertified
+from calib.correct.physics import Physics
+from calib.pipeline import Sampled
+from calib.pose_covariance import with_workspace
+from rig.recording import Recording
+
+SEED = 0  # of draws; results are the same from run to run
+
+
+def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified | ChainCertified, claim: Claim,
+         arguments: Sequence[str] = (), known: tuple[Physics, np.ndarray] | None = None,
+         before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+    """Calibration of what was found, with where it came from and what it does to the workspace.
+
+    arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
+    """
+    frames, found = sampled.samples.frame, done.found
+    physics, covariance = (None, found.covariance) if known is None else known
+    source = store.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
+    if before is not None:
+        source = store.after(source, *before)
+    return with_workspace(Calibration(
+        done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
+        done.held_out, source, claim, physics))
