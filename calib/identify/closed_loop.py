@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.kernel import njit
-from rig.turning import turn
+from rig.turning import turned
 
 TOLERANCE = 1e-13  # m; what Newton leaves of a strut's length
 MAX_ITERATIONS = 40
@@ -126,7 +126,7 @@ def pose_of(command: np.ndarray, p: np.ndarray, R: np.ndarray, t: np.ndarray) ->
             t[i] += share * (R[i, 0] * right[0, 0] + R[i, 1] * right[1, 0] + R[i, 2] * right[2, 0])
         for i in range(3, 6):
             right[i, 0] *= share
-        turn(R, right[3:, 0])
+        turned(R, right[3:, 0])
     return worst < 1e-11
 
 
