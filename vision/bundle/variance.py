@@ -23,7 +23,7 @@ PROOF = 12.1  # by which twice the log likelihood has to rise: one degree of fre
 FEWEST = 16  # markers, from which a variance is told to a third of itself
 ROUNDS, SETTLED = 200, 1e-3  # of the fixed point; relative change of a standard deviation at which it ends
 LEAST = 1e-3  # of what is tolerated, below which there is nothing
-AGAIN, FALLS = 4, 0.95  # times that prints are told, and the share that each must take off the standing error for another
+SORTED, AGAIN, FALLS = 2, 4, 0.95  # times that prints are told: for the corners sorted anew, and where each takes that share off the standing error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,9 +51,9 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
     if len(np.unique(kept.marker[good])) < FEWEST:
         return fit
     used, standing = np.zeros(len(good), bool), np.inf
-    for _ in range(AGAIN):
+    for turn in range(AGAIN):
         weights, now = standing_error(kept, good, a.state)
-        if now >= FALLS * standing and (good == used).all():
+        if now >= FALLS * standing and (turn >= SORTED or (good == used).all()):
             break
         used, standing = good, now
         weighed = replace(kept, covariance=weights).take(used)
