@@ -145,7 +145,7 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 
 def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
-    from calib.diagnose.report.words import line
+    from calib.diagnose.report.words import line, suggestion, suggestion_rows
 
     for finding in report.findings:
         print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
@@ -153,6 +153,9 @@ def _print(report: Report) -> None:
             print(f"  {finding.unusual}")
         for other in finding.cannot_be_told_from:
             print(f"  cannot be told from {other.effect} at {other.place}; {other.experiment}")
+    for entry in report.suggestions:
+        values = ", ".join(f"{name} {value}" for name, value, _ in suggestion_rows(entry))
+        print(f"a formula for it at {entry.place}: {suggestion(entry)} {values}; `rig effects --new NAME --from DIR` writes it")
     if report.remarks:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""

@@ -165,6 +165,11 @@ class Motion:
         T = self.posed()
         return np.concatenate([T.translation - home.translation, (T.rotation * home.rotation.inv()).as_rotvec()], axis=1)
 
+    def tangents(self, moved: np.ndarray) -> np.ndarray:
+        """(n, 6) tangents, on the right, of what moves by (n, 6) m and rad along the axes of the frame of poses and, at its origin, about them."""
+        back = np.swapaxes(self.posed().rotation.as_matrix(), 1, 2)
+        return (back[:, None] @ moved.reshape(-1, 2, 3, 1)).reshape(-1, 6)
+
     def once(self, key: tuple, make: Callable[[], np.ndarray]) -> np.ndarray:
         """What `make` makes, kept under a key for as long as this Motion lasts."""
         if key not in self.kept:

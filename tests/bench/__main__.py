@@ -10,6 +10,7 @@ from tests.bench import (
     corners,
     diagnosis,
     driving,
+    formula,
     forward,
     growing,
     images,
@@ -24,7 +25,7 @@ from tests.bench import (
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "images": images,
+NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "formula": formula, "images": images,
          "watch": watch}  # minutes: only where they are named
 
 

@@ -49,6 +49,7 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
     for finding in slight:
         parts += [heading(f"{words.title(finding)}{words.size(finding)}{words.beforehand(finding)}", 3), *_slight(finding)]
     parts += [heading("What remains"), *_remaining(report, view)]
+    parts += _suggestions(report)
     if report.covariates:
         parts += [heading("What it goes with"),
                   paragraph("Share of the squares left that smooth functions of one covariate explain, beyond what as many numbers do by chance: "
@@ -73,6 +74,8 @@ def to_do(report: Report) -> list[str]:
     actions = [f"{words.title(f)[0].upper()}{words.title(f)[1:]}: {f.action}".removesuffix(".") for f in report.mattering or report.named if f.action]
     if report.named:
         return [*actions, "Or let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"]
+    if report.suggestions:
+        return ["Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig diagnose --effects NAME.py`"]
     if report.findings:
         return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
     return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
@@ -111,6 +114,15 @@ def _remaining(report: Report, view: View) -> list[str]:
              ", ".join(f.parameters["depends_on"].value) or "scatters more than its noise", words.chance(f.evidence.p_value)) for f in report.unknown]
     return [levels, paragraph("Something remains that nothing in the catalogue explains. A smooth function fits it; it is given no name."),
             table(("place", "size (RMS)", "goes with", "chance"), rows), *pictures]
+
+
+def _suggestions(report: Report) -> list[str]:
+    """The formulas for what has no name."""
+    parts = []
+    for entry in report.suggestions:
+        parts += [heading(f"A formula for what is at {entry.place}", 3), paragraph(words.suggestion(entry)),
+                  table(("parameter", "value", "95 % interval"), words.suggestion_rows(entry))]
+    return parts
 
 
 def _asked(report: Report, view: View) -> list[str]:

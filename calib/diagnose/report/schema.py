@@ -1,13 +1,16 @@
 """diagnosis.json (schema "diagnosis/1") as dataclasses: what a diagnosis of any machine says, in m, rad, px and s."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
+from calib.diagnose.problems.suggestion import Suggestion
 from rig.effects.plugin import Plugin
+from rig.effects.written import Written
 from rig.files import write_text
 from rig.notebook import shown
 from rig.recording import Part
@@ -125,6 +128,37 @@ class ShareEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class SuggestionEntry:
+    """A formula for something without a name. formula; where : what its symbols stand for; parameters : {name: Value}; covariates : their names
+    heldout_before, heldout_after : RMS in unit on stretches held out whole, by formulas chosen and fitted without them; noise : what noise leaves
+    gain_sigma : standard errors by which they gain; parts : covariates that were chosen without each of the stretches; model : its terms"""
+
+    place: str
+    formula: str
+    where: str
+    parameters: dict[str, Value]
+    covariates: tuple[str, ...]
+    heldout_before: float
+    heldout_after: float
+    noise: float
+    unit: str
+    gain_sigma: float
+    parts: tuple[tuple[str, ...], ...]
+    model: Written
+
+
+def suggestion_entries(found: Sequence[Suggestion]) -> tuple[SuggestionEntry, ...]:
+    """Entries of what is suggested, in its order."""
+    out = []
+    for s in found:
+        units = {p.name: p.unit for p in s.effect.parameters_at(s.place)}
+        parameters = {name: Value(value, units[name], [low, high]) for name, (value, low, high) in s.intervals.items()}
+        out.append(SuggestionEntry(s.place, s.written.text().replace("np.", ""), s.written.where(), parameters,
+                                   tuple(q.name for q in s.written.quantities), s.before, s.after, s.noise, s.unit, s.gain, s.parts, s.written))
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True)
 class EffectsFile:
     """A file of effects of the operator's own that were asked for besides the catalogue. sha256 : of its bytes; effects : their names."""
 
@@ -173,6 +207,7 @@ class Report:
     fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
     covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
     recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
+    suggestions : formulas for what has no name
     more : what one kind of machine has to say besides"""
 
     recording: str
@@ -188,6 +223,7 @@ class Report:
     said: tuple[str, ...] = ()
     recordings: tuple[RecordingEntry, ...] = ()
     own_effects: tuple[EffectsFile, ...] = ()
+    suggestions: tuple[SuggestionEntry, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, Value
+from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, SuggestionEntry, Value
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -99,6 +99,20 @@ def how_sure(finding: FindingEntry) -> str:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
         said.append("it was assumed, and this recording " + ("shows it by itself as well" if shown else "would not have shown it by itself"))
     return f"How sure: {'; '.join(said)}."
+
+
+def suggestion(entry: SuggestionEntry) -> str:
+    """What is suggested in place of a name, and how it did where it was not chosen, in sentences."""
+    before, after, floor = (number(value, entry.unit) for value in (entry.heldout_before, entry.heldout_after, entry.noise))
+    alike = sum(set(part) == set(entry.covariates) for part in entry.parts)
+    return (f"Deviation {entry.formula}, where {entry.where}. Held out on whole stretches, by formulas chosen and fitted without them: {before} "
+            f"before, {after} after, {entry.heldout_after / entry.noise:.2f} times the noise ({floor}); {alike} of {len(entry.parts)} times the same "
+            "covariates were chosen. It is a suggestion, and no name.")
+
+
+def suggestion_rows(entry: SuggestionEntry) -> list[tuple[str, str, str]]:
+    """[(parameter, value, 95 % interval)] of what is suggested, with units."""
+    return [(name, f"{p.value:.4g} {p.unit}", f"{p.ci95[0]:.4g} to {p.ci95[1]:.4g}" if p.ci95 else "") for name, p in entry.parameters.items()]
 
 
 def covariate_table(found: Sequence[CovariateEntry]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

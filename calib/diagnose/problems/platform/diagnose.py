@@ -15,6 +15,7 @@ from calib.diagnose.engine.select import select, supported
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.covariates import covariates
+from calib.diagnose.problems.platform.formulas import suggestions
 from calib.diagnose.problems.platform.heldout import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
@@ -23,6 +24,7 @@ from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSe
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import unlogged, widened
 from calib.certify.calibration import Calibration
+from calib.diagnose.problems.suggestion import Suggestion
 from calib.pipeline import Sampled
 from rig.effects import ALL
 from rig.effects.base import Effect
@@ -52,7 +54,8 @@ class PlatformDiagnosis:
     left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]; noise : Noise; origin : of the owner's clock, which moments are told by
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     given : what was said beforehand; said : the operator's words, as options
-    parts : (Part, ..) of several recordings together; own : files of effects that were asked for besides"""
+    parts : (Part, ..) of several recordings together; own : files of effects that were asked for besides
+    suggestions : formulas for what is left"""
 
     recording: str
     source: str
@@ -71,6 +74,7 @@ class PlatformDiagnosis:
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
 
     @property
     def effects(self) -> list[Effect]:
@@ -113,6 +117,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
         left = problem.lack_of_fit(problem.residual(selection.fit))
     selection, left, remarks = set_apart(problem, selection, left)
     selection = unlogged(problem, selection)
+    suggested = tuple(suggestions(problem, selection.fit, left, progress))
     selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined)))
     refined = selection.fit.refined
     proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
@@ -121,7 +126,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
     return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
                              not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
-                             given, parts=recording.parts)
+                             given, parts=recording.parts, suggestions=suggested)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:

@@ -74,7 +74,7 @@ class PlatformProblem:
         return fit.refined.model.size
 
     def residual(self, fit: PlatformFit) -> LinearisedModel:
-        return self._beside_tolerances(fit.refined.marginalised)
+        return self.beside_tolerances(fit.refined.marginalised)
 
     def without_term(self, fit: PlatformFit, number: int) -> LinearisedModel:
         return self.marginalised(self.beside(fit, number))
@@ -90,9 +90,9 @@ class PlatformProblem:
     def marginalised(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with the parameters of the effects admitted there among the nuisances."""
         _, column = tangents(model, self.sensitivities)
-        return self._beside_tolerances(model if column is None else model.marginalise(column))
+        return self.beside_tolerances(model if column is None else model.marginalise(column))
 
-    def _beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
+    def beside_tolerances(self, model: LinearisedModel) -> LinearisedModel:
         """LinearisedModel with what tolerances do among the nuisances, where this problem is tolerant."""
         found = tolerated.tolerated(model, self.sensitivities) if self.tolerant else None
         return model if found is None else tolerated.beside(model, found)
