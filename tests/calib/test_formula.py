@@ -10,10 +10,14 @@ from calib.diagnose.engine.formula import Search
 from calib.diagnose.engine.library import Library, Quantity
 from calib.diagnose.engine.products import FrameProducts
 from calib.diagnose.engine.reduced import Reduced
+from calib.diagnose.engine.select import select
+from calib.diagnose.problems.asked import Asked
+from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.formulas import suggestions
 from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.problem import PlatformProblem
-from calib.diagnose.report.schema import suggestion_entries
+from calib.diagnose.report.page import _suggestions, to_do
+from calib.diagnose.report.schema import FitEntry, Report, suggestion_entries, write
 from rig import design_file, json_file
 from rig.cli import main
 from rig.effects.plugin import load
@@ -158,7 +162,18 @@ def test_a_law_is_suggested_by_its_covariates(tmp_path, measured, number, monkey
         value, low, high = found.intervals["c1"]
         assert low < -effect.size < high and high - low < 0.2 * abs(value)
     (entry,) = suggestion_entries([found])
-    assert entry.parameters[next(iter(found.intervals))].unit == ("m" if number == 0 else "m/m^3") and "is" in entry.where
+    assert entry.parameters[next(iter(found.intervals))].unit == ("m" if number == 0 else "m/m^3")
+    told = Report("rec", 0.0, {}, (), None, {}, FitEntry(1e-5, 1e-5, 1e-5, "m"), (), suggestions=(entry,))
+    page = "".join(_suggestions(told))
+    assert f"{found.after / found.noise:.2f} times the noise" in page and "a suggestion, and no name" in page and to_do(told) != to_do(
+        replace(told, suggestions=()))
+    write(tmp_path, told)
+    assert main(["effects", "--new", "mine", "--from", str(tmp_path), "--out", str(tmp_path / "mine.py")]) == 0
+    (kind,) = load(tmp_path / "mine.py").kinds
+    asked = PlatformProblem(problem.point, platform_candidates(problem.point, Asked((f"mine {effect.place}",), (), (kind,)))[0])
+    selection = select(asked)
+    assert [(f.score.candidate.name, f.score.candidate.place) for f in selection.findings] == [("mine", effect.place)]
+    assert asked.lack_of_fit(asked.residual(selection.fit)) == []
 
 
 def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
