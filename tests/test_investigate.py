@@ -5,6 +5,7 @@ import json
 import pytest
 
 from rig.cli import main
+from tests.running import EmulatedRig
 
 
 @pytest.fixture
@@ -56,7 +57,9 @@ def test_a_lag_finds_its_name_and_goes_on_where_it_was_interrupted(rig, tmp_path
     assert main(["simulate", str(rig), "--plan", "sobol:4", "--effect", "servo_lag:rig:time_constant=0.012", "--seed", "1", "--out",
                  str(tmp_path / "first"), "--truth", str(truth)]) == 0
     words = ["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "moving:30,sobol:40"]
-    assert main(words) == 0
+    assert main([*words, "--budget", "5min", "--verify", "12"]) == 0
+    assert "leaves no time for an experiment" in capsys.readouterr().out and not (out / "rec2").exists()
+    assert main([*words, "--resume"]) == 0
     notebook = (out / "notebook.md").read_text()
     assert "alike: servo lag at rig" in notebook and "Tried: zigzag" in notebook and "dropped: time offset at clock" in notebook
     assert "settled: yes" in notebook and "Nothing is alike any more." in notebook
@@ -65,8 +68,24 @@ def test_a_lag_finds_its_name_and_goes_on_where_it_was_interrupted(rig, tmp_path
     assert json.loads((out / "certificate" / "certificate.json").read_text())["schema"].startswith("certificate/")
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
     assert (finding["effect"], finding["place"]) == ("servo_lag", "rig")
-    for name in ("diagnosis2/next.json", "calibration.json"):  # as if it had been interrupted before these
+    for name in ("diagnosis2/next.json", "verify2.csv"):  # as if it had been interrupted before these
         (out / name).unlink()
     capsys.readouterr()
     assert main([*words, "--resume"]) == 0
-    assert "written: " + str(out / "rec2") not in capsys.readouterr().out and (out / "calibration.json").exists()
+    assert "written: " + str(out / "rec2") not in capsys.readouterr().out and (out / "verify2.csv").exists()
+
+
+@pytest.mark.slow
+def test_the_driver_carries_plans_out_and_is_not_asked_twice(tmp_path, capsys):
+    """An emulated controller whose cameras see no marker: the moves are made and kept, the diagnosis says what is missing."""
+    made = EmulatedRig(tmp_path)
+    try:
+        words = ["investigate", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "out"), "--settle", "time:0.01", "--plan", "sobol:3"]
+        assert main([*words[:-1], "moving:4"]) == 1
+        assert "while the struts move" in capsys.readouterr().err and not (tmp_path / "out").exists()
+        assert main(words) == 1
+        assert "see above; --resume goes on from there" in capsys.readouterr().err
+        assert len(made.told()) == 4 and (tmp_path / "out" / "rec1" / "journal.jsonl").exists()
+        assert main([*words, "--resume"]) == 1 and len(made.told()) == 4
+    finally:
+        made.close()

@@ -27,6 +27,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan of the experiment that would best tell apart what is "
                         "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); next.json says its chance")
     parser.add_argument("--minutes", metavar="MIN", type=float, default=60.0, help="for --next: that the experiment may take (default 60)")
+    parser.add_argument("--may", action="append", metavar="payload|wait", help="for --next: what may be asked of an operator, in place of "
+                        "what rig.toml says under [experiment]; may be given again")
     parser.add_argument("--standing", action="store_true", help="for --next: only plans at whose exposures the struts stand, as rig run takes them")
 
 
@@ -34,8 +36,13 @@ def refuse(arguments: Namespace) -> None:
     """Raise RigError for options that cannot be meant, before anything is read."""
     if not 0 < arguments.minutes <= LONGEST:
         raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {arguments.minutes:g}")
-    if arguments.next is None and arguments.standing:
-        raise RigError("--standing is for --next FILE")
+    if arguments.next is None and (arguments.standing or arguments.may):
+        raise RigError("--standing and --may are for --next FILE")
+    from rig.design import PERMITTED
+
+    for word in arguments.may or ():
+        if word not in PERMITTED:
+            raise RigError(f"--may takes {' or '.join(PERMITTED)}, not {word!r}")
 
 
 def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, out: Path, progress: Progress) -> None:
@@ -47,7 +54,7 @@ def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, o
     experiments: list[Experiment] = []
     if asked:
         seed = SEED + max(len(found.parts), 1)
-        experiments, refused = choose(asked, design, kinds(design.experiment.may, arguments.standing), seed, arguments.minutes,
+        experiments, refused = choose(asked, design, kinds(arguments.may or design.experiment.may, arguments.standing), seed, arguments.minutes,
                                       lambda done, of: progress("foretelling experiments", done, of))
         progress.close()
         experiments = [e for e in experiments if e.bits >= TELLING]

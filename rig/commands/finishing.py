@@ -27,25 +27,28 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
 
     out, said = arguments.out, []
     recordings = [str(recording_of(out, look.number)) for look in looks]
-    calibration = out / "calibration.json"
-    if not calibration.exists():
-        rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, looks[-1].number)), "--out", str(calibration))
+    calibration, number = out / "calibration.json", len(looks)
+    poses, commands, plan, again = (out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", ""))
+    done = plan.exists()
+    try:
+        if not done:
+            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, number)), "--out", str(calibration))
+    except RigError as error:
+        return (f"not calibrated: {error}",)
     found = ", ".join(looks[-1].findings) or "no physics"
     said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
-    poses, commands, plan, again = out / "verify-poses.csv", out / "verify-commands.csv", out / "verify-plan.csv", out / "verify"
     try:
-        if not plan.exists():
+        if not done:
             _wanted(poses, rig, arguments)
             rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
             rig.write_plan(plan, build(rig.design, f"commands:{commands}"))
         rig.record(plan, again, arguments.seed + VERIFYING)
         rig.call("verify", str(calibration), str(again))
-        said.append("verified on new poses, commanded through the correction: verify")
+        said.append(f"verified on new poses, commanded through the correction: {again.name}")
     except RigError as error:
         return (*said, f"not verified: {error}")
     try:
-        if not (out / "certificate" / "certificate.json").exists():
-            rig.call("certify", str(calibration), str(again), "--out", str(out / "certificate"))
+        rig.call("certify", str(calibration), str(again), "--out", str(out / "certificate"))
         said.append("certificate")
     except RigError as error:
         said.append(f"no certificate: {error}")

@@ -63,6 +63,9 @@ def run(arguments: Namespace) -> int:
     rig = Rig(arguments, design)
     _begin(arguments, rig)
     try:
+        before = looks(arguments.out)
+        if before and before[-1].questions and not before[-1].proposed:  # there was no time, or something was not allowed: it is asked again
+            _diagnose(arguments, rig, before[-1].number, before[:-1])
         while True:
             so_far = looks(arguments.out)
             _tell(arguments, so_far, "")
@@ -108,16 +111,24 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
 
 
 def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
-    """Record the plan of a look, and diagnose all recordings together; the next plan is written with it."""
+    """Record the plan of a look, and diagnose all recordings together."""
+    from calib.experiment.record import plan_of, recording_of
+
+    rig.record(plan_of(arguments.out, number), recording_of(arguments.out, number), arguments.seed + number)
+    _diagnose(arguments, rig, number, so_far)
+
+
+def _diagnose(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:
+    """Diagnose the recordings up to a number together; the next plan is written with it. so_far : the looks before"""
     from calib.experiment.notebook import spent
     from calib.experiment.record import diagnosis_of, minutes_of, plan_of, recording_of
 
     out = arguments.out
-    rig.record(plan_of(out, number), recording_of(out, number), arguments.seed + number)
     taken = spent(so_far) + minutes_of(plan_of(out, number))
     left = max(arguments.budget - taken, 0.1)
     words = ["diagnose", *(str(recording_of(out, k + 1)) for k in range(number)), "--out", str(diagnosis_of(out, number)), "--next",
-             str(plan_of(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"])]
+             str(plan_of(out, number + 1)), "--minutes", f"{left:.3f}", *([] if rig.moving else ["--standing"]),
+             *(word for may in rig.design.experiment.may for word in ("--may", may))]
     rig.call(*words)
 
 

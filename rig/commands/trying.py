@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import tomllib
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +22,7 @@ class Waiting(Exception):
 
 class Rig:
     """A machine that can be told to make a recording. by : "machine", "driver" or "hand"; moving : whether it may be exposed on the way
-    digest : of its rig.toml and, of a simulated one, of its truth"""
+    digest : of its rig.toml, but for what experiments may do, and of a simulated one of its truth"""
 
     def __init__(self, arguments: Namespace, design: Design) -> None:
         self.design, self._arguments = design, arguments
@@ -33,7 +35,9 @@ class Rig:
         for path in read:
             if not path.is_file():
                 raise RigError(f"{path}: no such file")
-        self.digest = hashlib.sha256(b"".join(path.read_bytes() for path in read)).hexdigest()
+        tree = {name: table for name, table in tomllib.loads(arguments.design.read_text(encoding="utf-8-sig")).items() if name != "experiment"}
+        parts = [json.dumps(tree, sort_keys=True).encode(), *(path.read_bytes() for path in read[1:])]
+        self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
 
     def call(self, *words: str) -> None:
         """Carry out another command. Raises RigError where it refuses, which has said why"""

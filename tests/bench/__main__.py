@@ -14,6 +14,7 @@ from tests.bench import (
     forward,
     growing,
     images,
+    investigate,
     lens,
     method,
     parameters,
@@ -26,7 +27,7 @@ from tests.bench import (
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "formula": formula, "images": images,
-         "watch": watch}  # minutes: only where they are named
+         "watch": watch, "investigate": investigate}  # minutes: only where they are named
 
 
 def main():

@@ -27,7 +27,7 @@ def test_what_cannot_be_meant_is_refused(rig_text, recording_folder, tmp_path, c
     assert main(["simulate", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "rec")]) == 1
     assert "experiment.may must list what experiments may do, of 'payload', 'wait'" in capsys.readouterr().err
     for words, says in ((["--next", str(tmp_path / "n.csv"), "--minutes", "0"], "--minutes takes a time above 0"),
-                        (["--standing"], "--standing is for")):
+                        (["--standing"], "--standing and --may are for")):
         assert main(["diagnose", str(recording_folder), "--out", str(tmp_path / "out"), *words]) == 1
         assert says in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
