@@ -1,7 +1,8 @@
 """An outside instrument that stood elsewhere in one recording than in the first: told from what all of its poses do together, and taken out.
 
 The geometry and, for each further recording, the six numbers of the instrument's place are fitted to all closures at once, each strut weighed by
-its poses' noise and by what it scatters beyond; only a place that chance does not explain is taken out.
+its poses' noise and by what it scatters beyond in that recording: what the machine's model leaves out differs from plan to plan, and must not be
+taken for a place. Only a place that chance does not explain, and that does more to the struts than all that it leaves there, is taken out.
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from rig.recording import Recording
 
 ROUNDS = 4  # of linearising anew
 ALIKE = 1e-3  # probability with which an instrument that stands still is taken for moved, which costs little
+CLEAR = 2.0  # times what it leaves of the struts' closures; a place that does less may be what the model leaves out
 SPREAD = 1.4826  # standard deviations in a median of absolute values
 
 
@@ -46,7 +48,7 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
     """
     samples, m = sample_recording(recording).samples, struts_of(recording.design.mechanism)
     number = np.searchsorted([part.frames for part in recording.parts], samples.frame, side="right") - 1
-    motions, scatter, start = np.zeros((len(recording.parts), 6)), np.zeros(len(m.axes)), parameters(m)
+    motions, scatter, start = np.zeros((len(recording.parts), 6)), np.zeros((len(recording.parts), len(m.axes))), parameters(m)
     for _ in range(ROUNDS):
         at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
         step, covariance, scatter = _solved(at, number, m, start, scatter)
@@ -56,21 +58,28 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
     for k, motion in enumerate(motions[1:]):
         rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
         p = float(chi2.sf(motion @ np.linalg.solve(covariance[rows, rows], motion), 6))
-        if p * (len(motions) - 1) < ALIKE:
+        if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
             places.append(Place(k + 1, motion, p))
     return _taken(recording, places), places
 
 
-def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(step (p + 6 later,), its covariance, (axes,) m scatter) of geometry and places, linear about a mechanism and places as they are.
+def _clear(samples: Samples, motion: np.ndarray, m: Struts) -> bool:
+    """Whether a place (6,) does CLEAR times as much to the closures of a recording's samples as it leaves, by a mechanism as fitted."""
+    inverse, T = mechanisms.of(m).inverse, samples.T_base_platform
+    here = inverse(_back(T, np.tile(motion, (len(samples), 1))), m)
+    return float(np.linalg.norm(inverse(T, m) - here)) > CLEAR * float(np.linalg.norm(here - samples.commanded))
 
-    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls; scatter : (axes,) m, so far
+
+def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, scatter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(step (p + 6 later,), its covariance, (parts, axes) m scatter) of geometry and places, linear about a mechanism and places as they are.
+
+    number : (n,) recording of each sample; start : (p,) the stated geometry, to which the prior pulls; scatter : (parts, axes) m, so far
     """
     T, p = samples.T_base_platform, len(start)
     later = int(number.max())
     A = strut_jacobian(T, m)
     C = A @ samples.covariance @ np.swapaxes(A, 1, 2)
-    W = np.linalg.inv(np.linalg.cholesky(C + np.diag(scatter**2)))
+    W = np.linalg.inv(np.linalg.cholesky(C + np.eye(len(m.axes)) * scatter[number][:, None] ** 2))
     moved = np.zeros((*A.shape[:2], later, 6))
     for k in range(later):
         moved[number == k + 1, :, k] = (A @ of_base(T))[number == k + 1]
@@ -79,8 +88,9 @@ def _solved(samples: Samples, number: np.ndarray, m: Struts, start: np.ndarray, 
     white, away = (W @ J).reshape(-1, J.shape[2]), np.r_[(start - parameters(m)) / PRIOR**2, np.zeros(6 * later)]
     covariance = np.linalg.inv(white.T @ white + np.diag(np.r_[np.full(p, 1 / PRIOR**2), np.zeros(6 * later)]))
     step = covariance @ (white.T @ (W @ left[..., None]).ravel() + away)
-    spread = SPREAD * np.median(np.abs(left - J @ step), axis=0)
-    return step, covariance, np.sqrt(np.maximum(spread**2 - np.einsum("nii->ni", C).mean(axis=0), 0.0))
+    left, own = np.abs(left - J @ step), np.einsum("nii->ni", C)
+    spread = np.stack([(SPREAD * np.median(left[number == k], axis=0)) ** 2 - own[number == k].mean(axis=0) for k in range(later + 1)])
+    return step, covariance, np.sqrt(np.maximum(spread, 0.0))
 
 
 def _back(T: RigidTransform, motions: np.ndarray) -> RigidTransform:

@@ -7,6 +7,7 @@ import numpy as np
 from calib.instrument_places import placed
 from rig import layout, plan, recording
 from rig.design import Instrument
+from rig.effects.parse import parse
 from rig.pose import exp
 from rig.together import joined, unmoved
 from synthetic import simulation, world
@@ -26,6 +27,12 @@ def test_a_place_is_found_and_a_still_one_kept(tmp_path, design):
         parts.append(recording.load(tmp_path / f"rec{k}"))
     moved = replace(parts[1], poses=replace(parts[1].poses, T_base_platform=exp(MOVED) * parts[1].poses.T_base_platform))
     assert placed(joined(parts, unmoved(parts)))[1] == []
+    lags = replace(secret, effects=(parse("servo_lag:rig:time_constant=0.04"),))  # what one plan shows of the model is no place
+    turning = []
+    for route in ("sobol:24", "moving:16"):
+        simulation.write(simulation.simulate(lags, plan.build(stated, route, seed=1), rng), tmp_path / route, text, rng, noise=0.04)
+        turning.append(recording.load(tmp_path / route))
+    assert placed(joined(turning, unmoved(turning)))[1] == []
     found, (place,) = placed(joined([parts[0], moved], unmoved(parts)))
     assert place.recording == 1 and "rec1" in place.line("rec1")
     np.testing.assert_allclose(place.motion, MOVED, atol=3e-5)
