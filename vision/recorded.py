@@ -12,6 +12,7 @@ from vision.bundle.places import HALVED, doubtful, moves
 from vision.in_hand import exchanged, in_hand, of_platform
 from vision.measure import Measurement, measure
 from vision.observations import Observations, from_corners
+from vision.reading.anew import ROUNDS, SETTLED, otherwise, placed_anew
 from vision.reading.collect import Collected, collect, image_reader, look_again
 from vision.reading.identity import LOOKED_AT, why_none
 from vision.targets import MarkerMap, marker_map
@@ -88,6 +89,11 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
     again = look_again(recording, found, measured, markers, said("looking again"))
     if len(again.corners.frame) > len(found.corners.frame):
         found = again
+        measured = solved(found.corners, found.correlation)
+    for _ in range(ROUNDS):
+        if otherwise(found, measured.design.cameras) < SETTLED:
+            break
+        found = placed_anew(recording, found, measured.design.cameras, markers, said("placing anew"))
         measured = solved(found.corners, found.correlation)
     return measured, found
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
 import cv2
@@ -46,7 +46,8 @@ class Unplaced(NamedTuple):
 class Collected:
     """Corners of all images; correlation : (n, 2, 8) of them, see Observations
     left_out : markers read but not placed; spread : {camera: Spread} learnt from its images
-    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers."""
+    blur : {camera: (k,) px} and noise : {camera: (k,) grey levels} over its markers
+    cameras : {camera: Camera} by whose lens the markers of most images were placed."""
 
     corners: Corners
     correlation: np.ndarray | None
@@ -54,6 +55,7 @@ class Collected:
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
     spread: dict[str, Spread]
+    cameras: dict[str, Camera] = field(default_factory=dict)
 
     @property
     def repeated(self) -> list[int]:
@@ -103,7 +105,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         eight, full = grey(_image(recording, camera, name))
         return full, search(eight, marker_map)
 
-    whole = dict(zip(taught, _in_parallel(searched, taught, None)))
+    whole = dict(zip(taught, in_parallel(searched, taught, None)))
     spread = {camera.name: learn_spread([whole[k] for k in taught if work[k][1] is camera], camera, marker_map) for camera in
               {work[k][1].name: work[k][1] for k in taught}.values()}
 
@@ -111,27 +113,34 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         full, read = whole[k]
         return place(full, work[k][1], marker_map, read, spread[work[k][1].name])
 
-    found.update(zip(taught, _in_parallel(placed, taught, tell)))
-    whole.clear()
+    found.update(zip(taught, in_parallel(placed, taught, tell)))
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = expect.taught(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
+    names = {camera.name for _, camera, _ in work}
+    cameras = {name: camera for name in names if known is not None and (camera := known.camera(name)) is not None}
+
+    def bent(k: int) -> Detection:
+        camera = cameras[work[k][1].name]
+        return place(whole[k][0], camera, marker_map, found[k].read, spread[camera.name], reach=0.0)
+
+    adjusted = [k for k in taught if work[k][1].name in cameras]  # whose markers the lens as stated bent otherwise than those of other images
+    found.update(zip(adjusted, in_parallel(bent, adjusted, None)))
+    whole.clear()
 
     def one(k: int, T: RigidTransform | None = None) -> Detection:
         _, camera, name = work[k]
-        adjusted = known.camera(camera.name) if known and T is not None else None
-        image = _image(recording, camera, name)
-        if adjusted is None:
-            return detect(image, camera, marker_map, spread[camera.name])
-        return detect(image, adjusted, marker_map, spread[camera.name], T, doubtful=True)
+        adjusted = cameras.get(camera.name)
+        return detect(_image(recording, camera, name), adjusted or camera, marker_map, spread[camera.name], T if adjusted else None, doubtful=True)
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}
-        found.update(zip(rest, _in_parallel(lambda k: one(k, commanded.get(work[k][0])), rest, tell)))
+        found.update(zip(rest, in_parallel(lambda k: one(k, commanded.get(work[k][0])), rest, tell)))
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
-    return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread)
+    lenses = {camera.name: cameras.get(camera.name, camera) for _, camera, _ in work}
+    return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses)
 
 
 def _image(recording: Recording, camera: Camera, name: str) -> np.ndarray:
@@ -160,7 +169,7 @@ def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], f
         def here(k: int, T: RigidTransform | None = last) -> Detection:
             return one(k, T)
 
-        out.update(zip(fresh, _in_parallel(here, fresh, tell)))
+        out.update(zip(fresh, in_parallel(here, fresh, tell)))
         last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
@@ -185,7 +194,7 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
         full, read = item
         return full, place(full, camera, marker_map, read)
 
-    seen = [(full, d.read) for full, d in _in_parallel(first, searched, None) if len(d.marker)]
+    seen = [(full, d.read) for full, d in in_parallel(first, searched, None) if len(d.marker)]
     spread = PLAIN
     for _ in range(ROUNDS if seen else 0):
         def again(item: tuple[np.ndarray, Read], spread: Spread = spread) -> tuple[Detection, np.ndarray]:
@@ -193,7 +202,7 @@ def learn_spread(searched: Sequence[tuple[np.ndarray, Read]], camera: Camera, ma
             profile = empty_profile()
             return place(full, camera, marker_map, read, spread, reach=0.0, profile=profile), profile
 
-        done = _in_parallel(again, seen, None)
+        done = in_parallel(again, seen, None)
         blur = np.concatenate([d.blur for d, _ in done])
         if len(blur):
             spread = learn(spread, sum((profile for _, profile in done[1:]), done[0][1]), float(np.median(blur)))
@@ -226,7 +235,7 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
         return place(full, camera, marker_map, Read(numbers, places), collected.spread.get(camera.name, PLAIN), verify=True)
 
     found = []
-    for (frame, camera, _, numbers, places), d in zip(work, _in_parallel(one, work, progress)):
+    for (frame, camera, _, numbers, places), d in zip(work, in_parallel(one, work, progress)):
         at = [numbers.tolist().index(number) for number in d.marker]
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
         found.append((frame, camera.name, d.take(near)))
@@ -234,7 +243,8 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
 
-def _in_parallel(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
+def in_parallel(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
+    """What comes of each item of some work on images, in order. progress : called with (done, of), or None"""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # images are the parallel unit
     try:
@@ -255,6 +265,14 @@ def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:
     frame = np.repeat(np.array([number for number, *_ in found], int), 4 * np.array(sizes, int))
     return (Corners(frame, names, np.repeat(marker, 4), np.tile(np.arange(4), len(marker)), uv, own),
             correlation_of(covariance).reshape(-1, 2, 8))
+
+
+def by_image(corners: Corners) -> dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]:
+    """{(frame number, camera name): (identities (m,), corners (m, 4, 2) px)} of Corners, all four of every marker."""
+    rows: dict[tuple[int, str], list[int]] = {}
+    for k, image in enumerate(zip(corners.frame[::4].tolist(), corners.camera[::4])):
+        rows.setdefault(image, []).append(k)
+    return {image: (corners.marker[::4][own], corners.uv.reshape(-1, 4, 2)[own]) for image, own in rows.items()}
 
 
 def _joined(a: Corners, b: Corners) -> Corners:

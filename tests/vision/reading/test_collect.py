@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rig import recording
 from rig.errors import FileError, NotEnoughData
 from rig.pose import difference
 from tests.conftest import BENCH, make_recording
+from vision.reading.anew import SETTLED, otherwise
 from vision.reading.collect import collect
 from vision.recorded import measure_recording
 from vision.targets import marker_map
@@ -43,6 +45,18 @@ def test_a_second_look_adds_markers_in_their_places(check, measured):
     key = {(f, c, k): i for i, (f, c, k) in enumerate(zip(second.corners.frame.tolist(), second.corners.camera, second.corners.marker.tolist()))}
     assert len(key) * 4 == len(second.corners.frame)  # none twice
     assert added.sum() % 4 == 0
+
+
+def test_corners_are_placed_by_the_lens_as_measured(check, measured):
+    m, second = measured
+    stated, true = check.design.cameras, m.design.cameras
+    first = replace(second, cameras={camera.name: camera for camera in stated})
+    assert otherwise(second, true) < SETTLED < otherwise(first, true)
+    assert otherwise(first, stated) == 0
+    bent = [[replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)]
+    assert otherwise(first, bent[1]) == pytest.approx(2 * otherwise(first, bent[0]), rel=0.02)
+    shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
+    assert otherwise(first, shifted) < otherwise(first, bent[0]) / 2  # it moves a marker as a whole
 
 
 def test_progress_counts_every_image(check):

@@ -93,6 +93,22 @@ def test_poses_are_the_same_and_right(drawn):
     assert np.abs(difference(m.T_base_platform, T)[:, :3]).max() < 5e-4
 
 
+def test_images_that_teach_are_placed_by_the_lens_that_they_teach(drawn, monkeypatch):
+    recording, T = drawn
+    camera, markers, place, by = recording.design.cameras[0], marker_map(recording.design), collecting.place, []
+    taught = replace(camera, distortion=camera.distortion + 1e-4)
+    monkeypatch.setattr(expect, "taught", lambda *_: expect.Expectation((taught,), markers, dict(enumerate(T))))
+
+    def placed(full, camera, *arguments, **options):
+        by.append((camera is taught, full.tobytes()))
+        return place(full, camera, *arguments, **options)
+
+    monkeypatch.setattr(collecting, "place", placed)
+    found = collect(recording, markers)
+    assert len({image for anew, image in by if anew}) == LEARN_FROM and by[-1][0]  # once each, after all that taught
+    assert found.cameras == {camera.name: taught}
+
+
 @pytest.mark.parametrize("case, searched", [("hidden", 0), ("turned", 1), ("another", 1), ("half of them hidden", 1)])
 def test_an_image_is_searched_where_something_else_is_in_a_markers_place(drawn, searches, tmp_path, case, searched):
     recording, T = drawn

@@ -1,0 +1,61 @@
+"""Corners placed once more by the lens as measured, where the one that they were placed by bends markers otherwise.
+
+A marker is fitted as a whole, its sides bent as the lens bends them: a lens as its owner states it, a thousandth off, moves the corners of a
+large marker by some thousandths of a pixel, the same in every image where it stands there.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rig.design import Camera
+from rig.exposures import read_image
+from rig.recording import Recording
+from vision.corners import local_lens
+from vision.corners.detect import Detection, Read, grey, place
+from vision.corners.spread import PLAIN
+from vision.reading.collect import Collected, by_image, corners_of, in_parallel
+from vision.targets import MarkerMap
+
+SETTLED = 1e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
+ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what the one before was off by
+STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
+
+
+def otherwise(collected: Collected, cameras: Sequence[Camera]) -> float:
+    """px by which lenses as measured bend some marker of a recording otherwise than those that it was placed by."""
+    corners, most = collected.corners, 0.0
+    quads = corners.uv.reshape(-1, 4, 2)
+    names = np.array(corners.camera)[::4]
+    middle = quads.mean(axis=1)
+    centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+    for camera in cameras:
+        before, own = collected.cameras.get(camera.name), centres[names == camera.name]
+        if before is not None and len(own):
+            bent = np.empty((2, len(own), 2, 10))
+            for k, one in enumerate((before, camera)):
+                local_lens.polynomials(local_lens.table(one), own, bent[k])
+            apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
+            most = max(most, float(np.nanmax(apart)))
+    return most
+
+
+def placed_anew(recording: Recording, collected: Collected, cameras: Sequence[Camera], marker_map: MarkerMap,
+                progress: Callable[[int, int], None] | None = None) -> Collected:
+    """Collected with every marker placed once more, from where it was found, by cameras as measured.
+
+    Raises FileError naming the image that cannot be decoded
+    """
+    lenses, seen = {camera.name: camera for camera in cameras}, by_image(collected.corners)
+    images = [(int(frame), camera, name) for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera,
+                                                                        recording.exposures.image) if name and (int(frame), camera) in seen]
+
+    def one(image: tuple[int, str, str]) -> Detection:
+        frame, camera, name = image
+        full = grey(read_image(recording.folder / name), False)[1]
+        return place(full, lenses[camera], marker_map, Read(*seen[frame, camera]), collected.spread.get(camera, PLAIN), reach=0.0)
+
+    found = in_parallel(one, images, progress)
+    corners, correlation = corners_of([(frame, camera, d) for (frame, camera, _), d in zip(images, found)])
+    return replace(collected, corners=corners, correlation=correlation, cameras=lenses)
