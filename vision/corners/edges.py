@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.jit import kernel
+from vision.corners.local_lens import along
 
 REACH = 3.6  # edge widths on either side of an edge that are looked at; with vision/corners/spread.py's KNOTS by the rule in tests/bench/reach.py:
 # of reaches 2.4, 2.8, 3.2, 3.6 and 5, 7, 9, 11 knots the smallest within 1 % of the least corner error on exact and rendered pictures
@@ -32,7 +33,7 @@ class Printed(NamedTuple):
 
     cells : (n + 4, n + 4), 1 white, 0 black, the n x n bits with their black border and a ring of white; outlook : (n + 4, n + 4, 16) int8 of
     them; n : bits each way; margin : cells of white around it; directions : (2,) rows of the spread's tables for its X and its Y edges
-    box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, 10) cubic polynomials from local pixel to local ideal coordinates
+    box : (4,) x0 y0 x1 y1 px, the part of the image cut out; lens : (2, TERMS) polynomials from local pixel to local ideal coordinates
     centre : (3,) x, y, scale px, of local coordinates
     """
 
@@ -104,13 +105,11 @@ def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarr
     pad = REACH * s + 1 + 0.02 * scale  # a lens bends the sides
     for y in range(box[1], box[3]):
         v = (y - cy) / scale
-        a0, b0 = lens[0, 0] + v * (lens[0, 2] + v * (lens[0, 5] + v * lens[0, 9])), lens[1, 0] + v * (lens[1, 2] + v * (lens[1, 5] + v * lens[1, 9]))
-        a1, b1 = lens[0, 1] + v * (lens[0, 4] + v * lens[0, 8]), lens[1, 1] + v * (lens[1, 4] + v * lens[1, 8])
-        a2, b2, a3, b3 = lens[0, 3] + v * lens[0, 7], lens[1, 3] + v * lens[1, 7], lens[0, 6], lens[1, 6]
+        p, q = along(lens[0], v), along(lens[1], v)
         start, end = _row(quad, pad, y, box[0], box[2])
         for k in range(end - start):
             u = (start + k - cx) / scale
-            xi, yi = a0 + u * (a1 + u * (a2 + u * a3)), b0 + u * (b1 + u * (b2 + u * b3))
+            xi, yi = p.a + u * (p.b + u * (p.c + u * (p.d + u * p.e))), q.a + u * (q.b + u * (q.c + u * (q.d + u * q.e)))
             w = 1 / (g20 * xi + g21 * yi + 1)
             row[0, k], row[1, k], row[2, k] = xi, yi, w
             row[3, k], row[4, k] = (g00 * xi + g01 * yi + g02) * w, (g10 * xi + g11 * yi + g12) * w

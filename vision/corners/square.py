@@ -56,7 +56,7 @@ class Squares(NamedTuple):
     """Markers of one size in one image.
 
     pixels : flat float32, 255ths of white, the boxes cut out one after the other from `starts` (m + 1,); boxes : (m, 4) x0 y0 x1 y1 px
-    lenses : (m, 2, 10), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, n + 4, n + 4, 16), margins : (m,) cells and
+    lenses : (m, 2, TERMS), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, n + 4, n + 4, 16), margins : (m,) cells and
     directions : (m, 2) of each, see Printed
     """
 

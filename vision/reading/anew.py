@@ -33,7 +33,7 @@ def otherwise(collected: Collected, cameras: Sequence[Camera]) -> float:
     for camera in cameras:
         before, own = collected.cameras.get(camera.name), centres[names == camera.name]
         if before is not None and len(own):
-            bent = np.empty((2, len(own), 2, 10))
+            bent = np.empty((2, len(own), 2, local_lens.TERMS))
             for k, one in enumerate((before, camera)):
                 local_lens.polynomials(local_lens.table(one), own, bent[k])
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
