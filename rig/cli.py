@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("next", "out", "truth", "state", "history", "draw", "stl")  # arguments that name what is written; all other paths are read
+WRITTEN = ("next", "out", "truth", "state", "history", "draw", "stl", "rerun")  # arguments that name what is written; all other paths are read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
@@ -51,7 +51,7 @@ COMMANDS = {
     "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
     "closure": "More lengths than six: which six tell the pose, and by how much the others do not close.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
-    "view": "One frame of a recording with markers, axes and residuals drawn in.",
+    "view": "One frame of a recording with markers, axes and residuals drawn in, or all of it for the viewer Rerun.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
     "check-print": "A photograph of a printed sheet -> the side that its markers really have.",
@@ -130,11 +130,18 @@ class Ended(KeyboardInterrupt):
 def _run(arguments: argparse.Namespace) -> int:
     """The exit status of a command; what it has written is in its place before this returns."""
     name = f"rig {arguments.command}"
+    asked = getattr(arguments, "json", False) and "result" in vars(arguments)
     try:
+        if asked and getattr(arguments, "out", None) == STANDARD_OUTPUT:
+            raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
             arguments.outputs = outputs
             with _words(arguments):
                 status = arguments.run(arguments) or 0
+        if asked and arguments.result is not None:
+            from rig.commands.output import print_json
+
+            print_json(arguments.result)
         return _flushed(name, status)
     except RigError as error:
         return _failed(f"{name}: {error}")
@@ -156,17 +163,19 @@ def _run(arguments: argparse.Namespace) -> int:
 
 @contextmanager
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
-    """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for."""
+    """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for; to the error
+    output where the result is printed as JSON once the command is done."""
     from rig.commands.progress_shown import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
+    aside = getattr(arguments, "json", False) and "result" in vars(arguments)
     before, Progress.shown = Progress.shown, "none" if quiet else getattr(arguments, "progress", "auto")
     try:
-        if quiet and out is not None and not getattr(arguments, "json", False):  # without --out the result itself is printed
+        if quiet and (aside or out is not None and not getattr(arguments, "json", False)):  # without --out the result itself is printed
             with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
                 yield
         else:
-            with redirect_stdout(sys.stderr) if out == STANDARD_OUTPUT else nullcontext():
+            with redirect_stdout(sys.stderr) if aside or out == STANDARD_OUTPUT else nullcontext():
                 yield
     finally:
         Progress.shown = before

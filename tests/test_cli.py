@@ -24,8 +24,8 @@ def worked(tmp_path_factory, design, rig_text):
     base = tmp_path_factory.mktemp("worked")
     secret, _ = make_recording(base / "fit", design, rig_text, 7, count=60)
     make_recording(base / "check", design, rig_text, 7, count=20)
-    run("measure", base / "fit", "--out", base / "measured")
-    run("calibrate", base / "fit", "--out", base / "calibration.json")
+    for command, out in (("measure", "measured"), ("calibrate", "calibration.json")):
+        (base / f"{command}.said").write_text(run(command, base / "fit", "--out", base / out, "--json").stdout)
     return base, secret
 
 
@@ -43,6 +43,21 @@ def test_measure_writes_what_the_contract_says(worked):
     links = Links()
     links.feed(page)
     assert not links.outside and page.count('<svg class="figure"') >= 5 and "://" not in page and "<strong>good</strong>" in page
+
+
+def test_results_for_programs_are_whole_json_and_say_what_the_files_say(worked, tmp_path):
+    base, _ = worked
+    measured, calibrated = (json.loads((base / f"{command}.said").read_text()) for command in ("measure", "calibrate"))
+    assert (measured["schema"], measured["frames"], measured["solved"], measured["unsolved"]) == ("measured/1", 60, 60, {})
+    np.testing.assert_allclose(measured["cameras"][0]["matrix"], design_file.load(base / "measured" / "rig.toml").cameras[0].matrix, atol=1e-6)
+    stored = json.loads((base / "calibration.json").read_text())
+    assert calibrated["held_out"] == stored["held_out"] and calibrated["claim"] == stored["claim"] and calibrated["poses"] == 60
+    done = run("correct", base / "calibration.json", "--poses", base / "measured" / "poses.csv", "--out", tmp_path / "c.csv", "--json")
+    told, rows = json.loads(done.stdout), np.loadtxt(tmp_path / "c.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose([row["values"] for row in told["commands"]], rows[:, 1:], atol=1e-10)
+    assert "60 of 60 poses written" in done.stderr
+    both = run("correct", base / "calibration.json", "--poses", base / "measured" / "poses.csv", "--out", "-", "--json", ok=False)
+    assert "both write to the standard output" in both.stderr and not both.stdout
 
 
 def test_the_recording_stays_as_it_was(worked, tmp_path, design, rig_text):

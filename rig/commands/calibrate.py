@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs, own_effects
-from rig.commands.output import SEED, Progress, add_force, add_recordings, file_or_stdout, length, print_comparison, print_unsolved
-from rig.commands.worth import say_promise, say_workspace
+from rig.commands.output import SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, print_comparison, print_unsolved
+from rig.commands.worth import tell
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def arguments(parser: ArgumentParser) -> None:
     from_limbs.arguments(parser)
     add_force(parser)
     checking.argument(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -96,8 +97,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
         from rig.writing import write_table
 
         write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, struts_of(nominal)))
-    say_promise(arguments.promise, calibration.claim)
-    say_workspace(calibration)
+    tell(arguments, calibration, len(sampled.samples))
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
 

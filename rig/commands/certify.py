@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, file_or_stdout, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, print_unsolved
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -94,7 +95,7 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from calib.statement import provenance
+    from calib.statement import provenance, tree
     from calib.statement.certificate import Asked, certified
 
     wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source)
@@ -107,6 +108,7 @@ def run(arguments: Namespace) -> None:
     _say(made)
     for _, sampled in held:
         print_unsolved(sampled.measurement)
+    arguments.result = tree.tree(made)
     print(f"written: {arguments.out}")
 
 

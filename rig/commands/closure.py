@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rig.commands.output import add_force, add_recording, file_or_stdout, read_recording
+from rig.commands.output import add_force, add_recording, add_result, file_or_stdout, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="closures.csv: frame, what each other leg reads less what the pose says "
                         "(e_..), its expected standard deviation (u_..), m")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -44,6 +45,7 @@ def run(arguments: Namespace) -> int:
     chosen = _chosen(arguments.use, of) if arguments.use else redundant.best_six(of, redundant.closures(of, read, first).T_base_platform)
     found = redundant.closures(of, read, chosen)
     _tell(of, found, frames, chosen, bool(arguments.use))
+    arguments.result = _result(of, found, frames, chosen)
     if out:
         sigma = np.sqrt(np.einsum("nii->ni", found.covariance))
         names = [of.names[i] for i in found.checks]
@@ -96,6 +98,17 @@ def _ratio(found: Closures) -> np.ndarray:
     import numpy as np
 
     return np.sqrt((found.error**2).mean(axis=0) / np.einsum("nii->ni", found.covariance).mean(axis=0))
+
+
+def _result(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
+    """What --json prints."""
+    legs = []
+    for i, e, ratio in zip(found.checks, found.error.T, _ratio(found)):
+        worst = int(abs(e).argmax())
+        legs.append({"leg": of.names[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "largest": float(e[worst]),
+                     "frame": int(frames[worst]), "times_expected": float(ratio)})
+    return {"schema": "closure/1", "unit": "m", "poses": len(frames), "pose_from": [of.names[i] for i in chosen], "closures": legs,
+            "explained_best_by": of.names[int(found.share.argmax())]}
 
 
 def _tell(of: Legs, found: Closures, frames: np.ndarray, chosen: np.ndarray, asked: bool) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import own_effects, readings
-from rig.commands.output import add_force, file_or_stdout
+from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError, Unreachable
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--single-step", action="store_true", help="command X + KSF(X), the method's first step, not the fixed point that is exact")
     own_effects.argument(parser)
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -74,6 +75,9 @@ def run(arguments: Namespace) -> None:
             raise message
         print(f"rig correct: {message}\nleft out, as asked", file=sys.stderr)
     _write(out, calibration, wanted, keep, done)
+    arguments.result = {"schema": "corrected/1", "wanted": count, "written": len(keep),
+                        "out_of_reach": [{"frame": frame, "reason": line} for frame, line in sorted(refused)],
+                        "commands": [{"frame": int(wanted.poses.frame[k]), "values": values} for k, values in zip(keep, done.values.tolist())]}
     if done.covariance is not None and (calibration.physics is not None or wanted.t is not None):
         expected = arguments.outputs.beside(out, ".poses.csv")
         if expected is not None:

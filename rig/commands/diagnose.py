@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from argparse import ArgumentParser, Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig import json_file
 from rig.commands import checking, experimenting, own_effects
-from rig.commands.output import Progress, add_force, add_recordings
+from rig.commands.output import Progress, add_force, add_recordings, add_result
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def arguments(parser: ArgumentParser) -> None:
     experimenting.arguments(parser)
     add_force(parser)
     checking.argument(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -75,6 +77,7 @@ def run(arguments: Namespace) -> None:
     diagnosed = _arm if recording.design.mechanism.kind in ("arm", "chain") else _platform
     _print(diagnosed(recording, arguments, Beforehand(calibration, _given(arguments, recording, kinds), own, tuple(kinds.values())), out, progress))
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
+    arguments.result = json.loads((out / "diagnosis.json").read_text())
     print(f"written: {arguments.out / 'diagnosis.json'}; look at {arguments.out / 'diagnosis.html'}")
 
 

@@ -3,9 +3,9 @@
 import argparse
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from rig.commands.output import add_force
+from rig.commands.output import add_force, add_result
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -61,6 +62,7 @@ def run(arguments: argparse.Namespace) -> None:
         write_text(arguments.outputs.file(kept), importing.text(imported.recipe, kept.parent))
     remarks = early(_loaded(out, arguments.out))
     _say(imported)
+    arguments.result = _result(imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe)
     for remark in remarks:
         print(f"{'wrong' if remark.spoils else 'unlikely'}: {remark}")
     print(f"written: {arguments.out}" + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
@@ -75,6 +77,15 @@ def _read(recipe: "Recipe") -> list[Path]:
     return [recipe.rig, *seen, *(table.file for table in tables if table is not None)]
 
 
+def _result(imported: "Imported", remarks: list[str], recipe: Path) -> dict[str, Any]:
+    """What --json prints."""
+    e, c, p, s = imported.exposed, imported.commanded, imported.posed, imported.logged
+    return {"schema": "imported/1", "frames": len(set(e.frame)), "images": sum(bool(name) for name in e.camera),
+            "commands": 0 if c is None else len(c.values), "poses": 0 if p is None else len(p.T),
+            "sensors": [] if s is None else [name for name, _ in s.channels],
+            "assumed": list(imported.said), "remarks": remarks, "recipe": str(recipe)}
+
+
 def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
     """Write a rig.toml with the cameras of another program. Raises RigError where more than cameras is to be imported."""
     from rig import importing
@@ -85,6 +96,7 @@ def _rig(arguments: argparse.Namespace, recipe: "Recipe") -> None:
     out = arguments.outputs.file(arguments.out)
     design, text, said = importing.with_cameras(recipe)
     write_text(out, text or "")
+    arguments.result = {"schema": "imported/1", "cameras": [camera.name for camera in design.cameras], "assumed": list(said)}
     print(f"imported: {len(design.cameras)} cameras")
     _say_assumed(said)
     print(f"written: {arguments.out}")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.commands import online
-from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
+from rig.commands.output import Progress, add_recording, add_result, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     from calib.certify.insitu import Agreement
+    from calib.online.limbs_file import Accepted
     from calib.pipeline import Sampled
     from rig.recording import Recording
 
@@ -24,6 +25,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", type=Path, help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
                         "calibrate, online and run")
     parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -59,12 +61,21 @@ def run(arguments: Namespace) -> int:
               "against vision cannot stand for it")
     passed = accepted.verdict == "accepted"
     print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
+    arguments.result = _result(accepted)
     if out is not None:
         limbs_file.save(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
     if state is not None and passed:
         _learn(arguments, recording, limb_source.sampled(recording, limb_source.read(recording, accepted)), state)
     return 0 if passed else 1
+
+
+def _result(accepted: Accepted) -> dict[str, Any]:
+    """What --json prints."""
+    found, gone = accepted.agreement, accepted.withdrawn
+    names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
+    return {"schema": "insitu/1", "verdict": accepted.verdict, "poses": found.n, "order": "x y z rx ry rz, m and rad",
+            **{name: getattr(found, name).tolist() for name in names}, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
 
 
 def _print(found: Agreement, source: str) -> None:
@@ -86,6 +97,6 @@ def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state:
     from calib.online.filter import Online
 
     known = Online.load(arguments.state) if arguments.state.exists() else None
-    learner = online.learn(recording, lambda: by_limbs, known, None, Progress())
+    learner = online.learn(recording, lambda: by_limbs, known, None, Progress(), Namespace())
     learner.save(state)
     print(f"written: {arguments.state}")

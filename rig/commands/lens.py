@@ -2,9 +2,13 @@
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rig.commands.output import Progress, add_force
+from rig.commands.output import Progress, add_force, add_result
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from vision.lenses.photographs import Calibrated
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 
@@ -18,6 +22,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--name", default="cam0", help="the camera's name in the block (%(default)s)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="gets lens.html with residual map and uncertainty, and camera.toml")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -50,11 +55,23 @@ def run(arguments: Namespace) -> None:
         print(f"{_model(terms):>22} {held}{'   <- taken' if terms == found.fit.terms else ''}", file=sys.stderr)
     print(f"projection known to {found.middle:.3f} px in the middle of the frame, {found.worst:.3f} px at worst (standard uncertainty)",
           file=sys.stderr)
-    print(block, end="")
+    if not arguments.json:
+        print(block, end="")
+    arguments.result = _result(found)
     if out:
         write_text(out / "camera.toml", block)
         lens_page(out / "lens.html", found)
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
+
+
+def _result(found: "Calibrated") -> dict[str, Any]:
+    """What --json prints."""
+    camera = found.fit.camera
+    models = [{"distortion_terms": terms, "rms_px": line.rms, "held_out_px": line.held.rms if line.held else None, "taken": terms == found.fit.terms}
+              for terms, line in found.models.items()]
+    return {"schema": "lens/1", "name": camera.name, "width": camera.width, "height": camera.height, "matrix": camera.matrix.tolist(),
+            "distortion": camera.distortion.tolist(), "photographs": len(found.used), "left_out": {str(path): why for path, why in found.left_out},
+            "projection_px": {"middle": float(found.middle), "worst": float(found.worst)}, "models": models}
 
 
 def _model(terms: int) -> str:

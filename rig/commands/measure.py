@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, from_limbs
-from rig.commands.output import Progress, add_force, add_recording, print_unsolved
+from rig.commands.output import Progress, add_force, add_recording, add_result, print_unsolved
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
     from_limbs.arguments(parser)
     add_force(parser)
     checking.argument(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -76,6 +77,7 @@ def run(arguments: Namespace) -> None:
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong))
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
+    arguments.result = _result(recording, measured, held, uncertainty(measured.covariance))
     print_unsolved(measured)
     if wrong:
         print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
@@ -108,6 +110,19 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
     print(f"poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad (standard uncertainty, RMS), of which readings "
           f"{uncertainty(found.own)[0] * 1e3:.4f} mm, the limbs' geometry the rest; it agreed with vision over {accepted.agreement.n} poses")
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), rig.toml as stated")
+
+
+def _result(recording: Recording, measured: Measurement, held: Any, uncertainties: tuple[float, float]) -> dict[str, Any]:
+    """What --json prints. uncertainties : m and rad"""
+    from rig.pose import vector
+
+    pairs = zip(recording.design.cameras, measured.design.cameras)
+    cameras = [{"name": camera.name, "matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist(),
+                "moved": vector(stated.pose.inv() * camera.pose).tolist()} for stated, camera in pairs]
+    return {"schema": "measured/1", "frames": len(recording.exposures.times()[0]), "solved": len(measured.frames),
+            "unsolved": {str(frame): reason for frame, reason in measured.unsolved.items()}, "position_m": uncertainties[0],
+            "rotation_rad": uncertainties[1], "corner_px": float(measured.noise), "corners": len(measured.inliers),
+            "used": int(measured.inliers.sum()), "held_out": {"ratio": held.ratio, "rms_px": held.rms} if held else None, "cameras": cameras}
 
 
 def _print_verdict(measured: Measurement, held: Any, uncertainties: tuple[float, float], total: int) -> None:

@@ -6,10 +6,10 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.commands import following, from_limbs
-from rig.commands.output import Progress, add_recording, print_unsolved, read_recording
+from rig.commands.output import Progress, add_recording, add_result, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
     following.arguments(parser)
     from_limbs.arguments(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -55,14 +56,15 @@ def run(arguments: Namespace) -> None:
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    learner = learn(recording, sampled, known, calibration, progress)
+    learner = learn(recording, sampled, known, calibration, progress, arguments)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
 
 
-def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None, progress: Progress) -> Online:
-    """The filter after a recording's poses that it has not learnt, which is said. sampled : makes the Sampled of it
+def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None, progress: Progress,
+          arguments: Namespace) -> Online:
+    """The filter after a recording's poses that it has not learnt, which is said. sampled : makes the Sampled of it; arguments : take the result
     known : the filter to go on with, or None; calibration : where a new one starts from, or None
 
     Raises RigError where no pose is left to learn
@@ -93,6 +95,7 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
         progress("learning", len(updates), len(samples))
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
+    arguments.result = _result(learner, updates, samples.frame)
     moved = learner.p - parameters(mechanism)
     print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
@@ -125,6 +128,20 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
     print(f"innovations are {innovation:.3f} of what was expected (1 where nothing is left out)")
+
+
+def _result(learner: Online, updates: list[Update], frames: np.ndarray) -> dict[str, Any]:
+    """What --json prints. frames : (n,) of the updates"""
+    import numpy as np
+
+    first = updates[0].number
+    jumps = [{"frame": int(frames[max(change.onset - first, 0)]), "found_at": int(frames[update.number - first]), "kind": change.kind,
+              "strut": change.strut, "size": np.asarray(change.size).tolist(), "sigma": np.asarray(change.sigma).tolist()}
+             for update in updates for change in update.changes]
+    whitened = [update.innovation @ update.innovation / 6 for update in updates if not update.held]
+    return {"schema": "online/1", "poses": len(updates), "changes": jumps,
+            "left_out": [int(frames[number - first]) for update in updates for number in update.dropped],
+            "sigma_rms_m": float((learner.covariance.diagonal().mean()) ** 0.5), "innovation": float((sum(whitened) / max(len(whitened), 1)) ** 0.5)}
 
 
 def _counted(changes: int) -> str:

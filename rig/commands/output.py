@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rig.recording import Recording
     from vision.measure import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "file_or_stdout", "length",
-           "numbers", "print_comparison", "print_json", "print_unsolved", "read_recording"]
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "add_result", "file_or_stdout",
+           "length", "numbers", "print_comparison", "print_json", "print_unsolved", "read_recording"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -67,6 +67,12 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
 def add_json(parser: ArgumentParser) -> None:
     """Let a command print its result for programs."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) instead of words")
+
+
+def add_result(parser: ArgumentParser) -> None:
+    """Let a command, which leaves it in `arguments.result` as plain values, print its result for programs once all is written."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON (SI units, rad) when all is done; words go to the error output")
+    parser.set_defaults(result=None)
 
 
 def print_json(tree: object) -> None:

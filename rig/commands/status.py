@@ -2,12 +2,13 @@
 
 from argparse import ArgumentParser, Namespace
 
-from rig.commands.output import add_driving
+from rig.commands.output import add_driving, add_result
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -16,4 +17,7 @@ def run(arguments: Namespace) -> None:
 
     design = design_of(arguments.design, arguments.port)
     with driving(design, arguments.trace, print) as driver:
-        print_status(driver.status(), design)
+        status = driver.status()
+    print_status(status, design)
+    arguments.result = {"schema": "status/1", "activity": status.activity, "known": status.known, "fault": status.fault, "said": status.said,
+                        "lengths": status.lengths.tolist()}

@@ -1,15 +1,18 @@
-"""rig view REC --frame N."""
+"""rig view REC --frame N, or rig view REC --rerun FILE.rrd."""
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, read_recording
+from rig.errors import RigError
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
-    parser.add_argument("--frame", type=int, required=True)
+    shown = parser.add_mutually_exclusive_group(required=True)
+    shown.add_argument("--frame", type=int, help="this frame, with markers, axes and residuals drawn in")
+    shown.add_argument("--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="a picture, written here; without it one named after the recording "
                         "is written in the folder where you are, and shown")
     add_force(parser)
@@ -20,7 +23,9 @@ def run(arguments: Namespace) -> None:
     """Draw one frame."""
     import webbrowser
 
-
+    if arguments.rerun is not None:
+        _rerun(arguments)
+        return
     recording = read_recording(arguments)
 
     from vision.drawing import check_format, frame_picture, save
@@ -35,3 +40,17 @@ def run(arguments: Namespace) -> None:
     print(f"written: {shown}")
     if arguments.out is None and not webbrowser.open(shown.resolve().as_uri()):
         print("there is no program here to show it; open the file yourself")
+
+
+def _rerun(arguments: Namespace) -> None:
+    """Write the whole recording for Rerun. Raises MissingLibrary without it."""
+    from rig.export import rerun_log
+
+    rr = rerun_log.library()
+    if arguments.out is not None:
+        raise RigError("--out is of --frame; --rerun names its own file")
+    recording = read_recording(arguments)
+    left_out = rerun_log.write(recording, arguments.outputs.file(arguments.rerun), rr)
+    if left_out:
+        print(f"{left_out} images are left out: Rerun shows PNG and JPEG")
+    print(f"{len(recording.exposures.times()[0])} frames; written: {arguments.rerun}; see them with `rerun {arguments.rerun}`")

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import add_force
+from rig.commands.output import add_force, add_result
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def arguments(parser: ArgumentParser) -> None:
                         "bound in the cells of its volume")
     parser.add_argument("--out", metavar="DIR", type=Path, help="a folder for workspace.json, workspace.csv (a line a cell) and workspace.html")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -31,6 +32,7 @@ def run(arguments: Namespace) -> None:
     from calib.pose_covariance import with_workspace
     from calib.workspace import words
     from calib.workspace.cells import turned_home
+    from calib.workspace.file import workspace_out
     from rig import mechanisms
 
     if arguments.out is not None and arguments.out.suffix:
@@ -50,6 +52,7 @@ def run(arguments: Namespace) -> None:
         print(words.certified_line(w, certified))
     if correction.extension is not None or any(correction.remainder):
         print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
+    arguments.result = {**workspace_out(w), "room_of": turned_home(correction)}
     if arguments.out is not None:
         _write(arguments, w, unit, turned_home(correction), certified)
 

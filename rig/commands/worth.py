@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -9,7 +11,15 @@ if TYPE_CHECKING:
     from calib.store import Calibration
 
 
-def say_promise(promise: float | None, claim: Claim | None) -> None:
+def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
+    """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as calibration.json has them."""
+    held, claim = calibration.held_out, calibration.claim
+    arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses}
+    _say_promise(arguments.promise, claim)
+    _say_workspace(calibration)
+
+
+def _say_promise(promise: float | None, claim: Claim | None) -> None:
     """Print whether a promise (m) is kept by the upper end of what is claimed; nothing where none was made."""
     if promise is None or claim is None:
         return
@@ -21,7 +31,7 @@ def say_promise(promise: float | None, claim: Claim | None) -> None:
     print(f"the promise of {promise * 1e6:.4g} um {met}: {middle * 1e6:.4g} um RMS over the workspace, {most * 1e6:.4g} at most (97.5 %)")
 
 
-def say_workspace(calibration: Calibration) -> None:
+def _say_workspace(calibration: Calibration) -> None:
     """Print what a calibration does to the workspace; nothing where that was not worked out."""
     from calib.workspace.words import lines
     from rig import mechanisms

@@ -1,9 +1,12 @@
 """What people have becomes the same recording, whatever their dialect; what can be read in two ways is refused with both."""
 
+import json
+
 import numpy as np
 import pytest
 
 from rig import design_file, importing, recording
+from rig.cli import main
 from rig.errors import RigError
 from rig.importing import times
 from tests.importing.foreign import DIALECTS, export
@@ -97,6 +100,15 @@ def test_rotations_that_nothing_decides_are_refused(good, tmp_path):
     status, text = said(*words(good, {"poses": tmp_path / "p.csv"}), "--out", tmp_path / "rec")
     assert status == 1 and all(f"poses.rotation={way}" in text for way in ("rotvec", "zyx", "xyz")), text
     assert said(*words(good, {"poses": tmp_path / "p.csv"}, None, "poses.rotation=zyx"), "--out", tmp_path / "rec")[0] == 0
+
+
+def test_an_import_is_told_to_programs(good, tmp_path, capsys):
+    files = export(good, tmp_path / "theirs", DIALECTS[0], design_file.load(good / "rig.toml"))
+    assert main([str(word) for word in (*words(good, files), "--out", tmp_path / "rec", "--json")]) == 0
+    out, said_of_it = capsys.readouterr()
+    told = json.loads(out)
+    assert (told["schema"], told["frames"], told["poses"]) == ("imported/1", 60, 60) and "imported: 60 frames" in said_of_it
+    assert told["assumed"] and all(line in said_of_it for line in told["assumed"])
 
 
 def test_settings_that_mean_nothing_are_refused(good, tmp_path):
