@@ -5,6 +5,7 @@ import sys
 from tests.bench import (
     absent,
     arms,
+    beside,
     certificate,
     correction,
     corners,
@@ -27,7 +28,7 @@ from tests.bench import (
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "formula": formula, "images": images,
-         "watch": watch, "investigate": investigate}  # minutes: only where they are named
+         "beside": beside, "watch": watch, "investigate": investigate}  # minutes: only where they are named
 
 
 def main():
