@@ -8,6 +8,7 @@ from rig import machine, plan, recording
 from rig.effects.base import Effect
 from synthetic import simulation, world
 
+WARM = "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the room and the struts warm each in its own way
 PLAN = "moving:24,sobol:60,ladder:6,moving:24,sobol:40"  # frames with speeds and steps of both directions, over some twenty minutes
 
 
@@ -135,7 +136,7 @@ def drawn(number, rng, end):
 def recorded(folder, design, text, number, seed, seen=2.5e-5):
     """(Recording, Effect, names of its covariates) of a secret machine with one of the laws, of which so much (m, RMS) is seen: what no straight
     line in the struts' travels takes."""
-    route = plan.build(design, PLAN, seed)
+    route = plan.build(design, WARM if number == 2 else PLAN, seed)
     effect, covariates = drawn(number, np.random.default_rng([number, seed]), float(route.t[-1]))
     bare = simulation.simulate(world.draw(design, np.random.default_rng(seed), 1.0, ()), route, np.random.default_rng(seed))
     motion = replace(machine.motion(bare.world.true, route.commands, route.t, (), bare.sensors), T=bare.run.T_base_platform)

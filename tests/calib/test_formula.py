@@ -11,6 +11,11 @@ from calib.diagnose.engine.library import Library, Quantity
 from calib.diagnose.engine.products import FrameProducts
 from calib.diagnose.engine.reduced import Reduced
 from calib.diagnose.engine.select import select
+from calib.diagnose.problems.arm.candidates import joint_candidates
+from calib.diagnose.problems.arm.fit import fit
+from calib.diagnose.problems.arm.formulas import suggestions as arm_suggestions
+from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit as arm_left
+from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.formulas import suggestions
@@ -26,6 +31,7 @@ from rig.effects.written import Term, Written
 from rig.errors import FileError
 from tests.calib import laws
 from tests.calib.physical import measured_by
+from tests.calib.test_diagnose_arm import recorded as arm_recorded
 from tests.rig.test_effects_everywhere import context_of, setting_of
 
 FRAMES, NOISE = 240, 5e-6
@@ -180,3 +186,21 @@ def test_nothing_is_suggested_where_nothing_is_left(tmp_path, measured):
     text, design = measured
     problem, fit, left = sought_in(laws.recorded(tmp_path / "rec", design, text, 3, 1, seen=1e-9)[0])
     assert left == [] and suggestions(problem, fit, left) == []
+
+
+@pytest.mark.slow
+def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
+    (arms, _), _ = arm_recorded(lambda q: 3e-4 * np.sin(1.3 * q[:, [3]] + 0.5) * (np.arange(6) == 1))
+    now = fit(arms)
+    left = arm_left(now)
+    assert {"joint 2", "joint 3"} <= {u.place for u in left}  # they turn about axes that are alike
+    (found,) = arm_suggestions(now, left)
+    assert found.place == "joint 2" and [q.name for q in found.written.quantities] == ["travel of joint 4"]
+    assert found.after < 1.2 * found.noise < 0.5 * found.before
+    assert np.hypot(found.effect.sine1, found.effect.cosine1) == pytest.approx(3e-4, rel=0.05)
+    low, high = found.intervals["frequency"][1:]
+    assert low < 1.3 < high < 1.05 * low
+    (tmp_path / "mine.py").write_text(found.written.source("mine"))
+    (kind,) = load(tmp_path / "mine.py").kinds
+    candidates, _ = joint_candidates(arms, Asked(("mine",), (), (kind,)))
+    assert [(t.candidate.name, t.candidate.place) for t in select(ArmProblem(arms, candidates)).fit.terms] == [("mine", "joint 2")]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from calib.diagnose.engine.library import FINE, Atom, Library, Wave
-from calib.diagnose.engine.reduced import Reduced
+from calib.diagnose.engine.reduced import Reduced, Stack
 
 MOST = 4  # atoms
 CLASSES = 5  # of atoms: a quantity, a higher power, a product, a sinusoid, one that another quantity swells
@@ -44,7 +44,7 @@ class Search:
     library: Library
     data: Reduced
     floor: float = 1.0
-    _known: dict[tuple, np.ndarray] = field(default_factory=dict, init=False)
+    _known: dict[tuple, tuple[list[Atom], Stack]] = field(default_factory=dict, init=False)
 
     def best(self) -> Formula | None:
         """The Formula of the shortest description; None where none is worth it."""
@@ -81,38 +81,49 @@ class Search:
         turned = sum(size + 2 * np.log(max(library.quantities[wave.quantity].turns, 1.0)) for wave in waves)
         return float(each + turned + 2 * np.log(len(library.quantities)) * len(quantities))
 
+    def _costs(self, atoms: tuple[Atom, ...], group: list[Atom]) -> np.ndarray:
+        """(k,) costs of atoms with each of a group besides: those that look at the same and are of one kind cost the same."""
+        known: dict[tuple, float] = {}
+        out = []
+        for atom in group:
+            key = atom.quantities, atom.wave if any(atom.wave == a.wave for a in atoms) else atom.wave and atom.wave.quantity
+            if key not in known:
+                known[key] = self.cost((*atoms, atom))
+            out.append(known[key])
+        return np.array(out)
+
     def _with_one(self, atoms: tuple[Atom, ...]) -> tuple[Atom, ...] | None:
         """Atoms and one more, the one that shortens the description most; None where there is none."""
         left = self.data if not atoms else self.data.beside(self._columns(atoms))
         if left is None:
             return None
         total, found = float(left.y @ left.y), []
-        for group, columns in self._groups(atoms):
-            drops = left.drops(columns)
+        for group, stack in self._groups(atoms):
+            drops = left.drops(stack)
             mean = np.maximum(total - drops, 0.0) / self.data.size
             scatter = np.maximum(mean, self.floor)
-            lengths = self.data.size * (np.log(scatter) + mean / scatter) + np.array([self.cost((*atoms, atom)) for atom in group])
+            lengths = self.data.size * (np.log(scatter) + mean / scatter) + self._costs(atoms, group)
             k = int(np.argmin(lengths))
             found.append((float(lengths[k]), group[k]))
         _, best = min(found, key=lambda pair: pair[0])
         return None if best in atoms else self._refined((*atoms, best))
 
-    def _groups(self, atoms: tuple[Atom, ...]) -> Iterator[tuple[list[Atom], np.ndarray]]:
-        """(atoms of one kind, their whitened columns (f a, k, q)) of all that may be admitted beside some."""
+    def _groups(self, atoms: tuple[Atom, ...]) -> Iterator[tuple[list[Atom], Stack]]:
+        """(atoms of one kind, Stack of their whitened columns) of all that may be admitted beside some."""
         directions = range(self.library.directions) if self.library.apart else (None,)
         for direction in directions:
             for kind, members in (("products", self.library.products), ("waves", self.library.waves)):
                 if members:
-                    own = [atom._replace(direction=direction) for atom in members]
                     if (kind, direction) not in self._known:
-                        self._known[kind, direction] = self._stacked(own)
-                    yield own, self._known[kind, direction]
+                        own = [atom._replace(direction=direction) for atom in members]
+                        self._known[kind, direction] = own, self._stacked(own)
+                    yield self._known[kind, direction]
             swelling = [atom._replace(direction=direction) for atom in self.library.modulated(list(atoms))]
             if swelling:
                 yield swelling, self._stacked(swelling)
 
-    def _stacked(self, atoms: list[Atom]) -> np.ndarray:
-        return np.stack([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1)
+    def _stacked(self, atoms: list[Atom]) -> Stack:
+        return self.data.stack(np.stack([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1))
 
     def _columns(self, atoms: tuple[Atom, ...]) -> np.ndarray:
         return np.concatenate([self.data.whitened(self.library.weights(atom, self.data.rows)) for atom in atoms], axis=1)

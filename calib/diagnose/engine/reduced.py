@@ -71,19 +71,46 @@ class Reduced:
         free = columns - self.basis @ (self.basis.T @ columns)
         return np.linalg.solve(columns.T @ free, columns.T @ self.y)
 
-    def drops(self, columns: np.ndarray) -> np.ndarray:
-        """(k,) by which the squares fall with each of k pairs (or single columns) by themselves. columns : (f a, k, q), q = 1 or 2"""
-        n, k, q = columns.shape
-        flat = columns.reshape(n, k * q)
-        b = (self.y @ flat).reshape(k, q)
-        onto = (self.basis.T @ flat).reshape(-1, k, q)
-        raw = np.einsum("nkq,nkr->kqr", columns, columns)
-        gram = raw - np.einsum("mkq,mkr->kqr", onto, onto)
-        own = np.maximum(np.einsum("kqq->kq", raw), 1e-300)
-        if q == 1:
-            seen = gram[:, 0, 0] > SWALLOWED * own[:, 0]
+    def stack(self, columns: np.ndarray) -> "Stack":
+        """Stack of columns (f a, k, q) beside what is taken out now."""
+        raw = _grams(columns)
+        return Stack(columns, raw - _grams(_onto(self.basis, columns)), np.maximum(np.einsum("kqq->kq", raw), 1e-300), self.basis.shape[1])
+
+    def drops(self, stack: "Stack") -> np.ndarray:
+        """(k,) by which the squares fall with each of a Stack's columns, or pairs, by themselves, beside what was taken out since it was made."""
+        b = (self.y @ stack.columns.reshape(len(self.y), -1)).reshape(stack.own.shape)
+        since = self.basis[:, stack.beside :]
+        gram = stack.gram if not since.shape[1] else stack.gram - _grams(_onto(since, stack.columns))
+        if b.shape[1] == 1:
+            seen = gram[:, 0, 0] > SWALLOWED * stack.own[:, 0]
             return np.where(seen, b[:, 0] ** 2 / np.where(seen, gram[:, 0, 0], 1.0), 0.0)
         det = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
-        seen = det > SWALLOWED * own.prod(axis=1)
+        seen = det > SWALLOWED * stack.own.prod(axis=1)
         square = b[:, 0] ** 2 * gram[:, 1, 1] + b[:, 1] ** 2 * gram[:, 0, 0] - 2 * b[:, 0] * b[:, 1] * gram[:, 0, 1]
         return np.where(seen, square / np.where(seen, det, 1.0), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """Columns that are tried, each by itself. columns : (f a, k, q), q = 1 or 2; gram : (k, q, q) of them, what was taken out first left out
+    own : (k, q) squares before; beside : how many columns were taken out first"""
+
+    columns: np.ndarray
+    gram: np.ndarray
+    own: np.ndarray
+    beside: int
+
+
+def _onto(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(m, k, q) products of a basis (n, m) with columns (n, k, q)."""
+    return (basis.T @ columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+
+
+def _grams(columns: np.ndarray) -> np.ndarray:
+    """(k, q, q) products of the q columns (n, k, q) of each with each other."""
+    q = columns.shape[2]
+    out = np.empty((columns.shape[1], q, q))
+    for i in range(q):
+        for j in range(i, q):
+            out[:, i, j] = out[:, j, i] = (columns[..., i] * columns[..., j]).sum(axis=0)
+    return out

@@ -28,6 +28,7 @@ from calib.diagnose.report.schema import (
     recording_entries,
     effects_files,
     said_of,
+    suggestion_entries,
     write,
 )
 from rig import machine_file, mechanisms
@@ -50,7 +51,7 @@ def report(d: ArmDiagnosis) -> Report:
     return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
                   recordings=recording_entries(d.parts),
-                  own_effects=effects_files(d.own),
+                  own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
 

@@ -105,10 +105,11 @@ def _candidates(specs: tuple[EffectCandidate, ...], arms: Arms) -> list[JointCan
     if not specs:
         return []
     several = all(COUNT in node for spec in specs for node in spec.grid)
-    return [_candidate(group, arms) for group in ([specs] if several else [(spec,) for spec in specs])]
+    return [joint_candidate(group, arms) for group in ([specs] if several else [(spec,) for spec in specs])]
 
 
-def _candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
+def joint_candidate(specs: tuple[EffectCandidate, ...], arms: Arms) -> JointCandidate:
+    """JointCandidate of what an effect states at a place, one for each number of columns."""
     first, places = specs[0], arms.context.moved().places
     joint = places.index(first.place) if first.place in places else None
     form = Form.STEP if first.kind.form == "step" else SIMPLICITY.get(first.kind.own_axis, Form.OTHER)

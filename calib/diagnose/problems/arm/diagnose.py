@@ -17,10 +17,12 @@ from calib.diagnose.engine.select import Finding, choose, labelled, select
 from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candidates
 from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
+from calib.diagnose.problems.arm.formulas import suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.poses import Arms, Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
+from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
@@ -79,6 +81,7 @@ class ArmDiagnosis:
     said: tuple[str, ...] = ()
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
 
 
 @threadpool_limits.wrap(limits=1)
@@ -109,8 +112,9 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
     before, cluster = fit(arms), problem.policy.cluster
+    left = lack_of_fit(chosen, again, cluster)
     return ArmDiagnosis(name, source, arms, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, lack_of_fit(chosen, again, cluster), regions, covariates(before, chosen, cluster), given=given)
+                        again, left, regions, covariates(before, chosen, cluster), given=given, suggestions=tuple(suggestions(chosen, left)))
 
 
 def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,
