@@ -45,8 +45,9 @@ def calibration(path: Path, given: tuple[Plugin, ...]) -> Calibration:
     from calib import store
 
     found = store.load(path, known(given))
-    hashes = found.provenance.get("inputs_sha256", {})
+    hashes = found.provenance.get("inputs_sha256", {}).values()
+    used = {effect.name for effect in found.physics.effects} if found.physics is not None else set()
     for plugin in given:
-        if hashes.get(plugin.path.name, plugin.sha256) != plugin.sha256:
+        if plugin.sha256 not in hashes and used & {kind.name for kind in plugin.kinds}:
             raise RigError(f"{plugin.path} is not as it was when {path} was made from it; take that file, or calibrate again")
     return found

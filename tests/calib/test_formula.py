@@ -204,3 +204,35 @@ def test_a_joint_that_follows_another_is_suggested_once(tmp_path):
     (kind,) = load(tmp_path / "mine.py").kinds
     candidates, _ = joint_candidates(arms, Asked(("mine",), (), (kind,)))
     assert [(t.candidate.name, t.candidate.place) for t in select(ArmProblem(arms, candidates)).fit.terms] == [("mine", "joint 2")]
+
+
+@pytest.mark.slow
+def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, monkeypatch, capsys):
+    monkeypatch.setattr(laws, "PLAN", "moving:10,sobol:40,ladder:3,sobol:30")
+    text, design = measured
+    recording, effect, _ = laws.recorded(tmp_path / "rec", design, text, 0, 3)
+    monkeypatch.chdir(tmp_path)
+    assert main(["diagnose", "rec", "--out", "first", "--only", "backlash"]) == 0 and "a formula for it at" in capsys.readouterr().out
+    tree = json.loads((tmp_path / "first" / "diagnosis.json").read_text())
+    assert [s["place"] for s in tree["suggestions"]] == [effect.place] and "a suggestion, and no name" in (
+        tmp_path / "first" / "diagnosis.html").read_text()
+    assert main(["effects", "--new", "swing", "--from", "first"]) == 0
+    ask = ["--only", "swing", "--effects", "swing.py"]
+    assert main(["diagnose", "rec", "--out", "second", *ask]) == 0 and f"swing at {effect.place}" in capsys.readouterr().out
+    tree = json.loads((tmp_path / "second" / "diagnosis.json").read_text())
+    assert tree["own_effects"][0]["effects"] == ["swing"] and tree["suggestions"] == [] and tree["unexplained"] is None
+    assert main(["diagnose", "rec", "--out", "third", "--from", "second"]) == 1 and "name its file with --effects" in capsys.readouterr().err
+    assert main(["simulate", "--from", "second", "--out", "drawn", "--effects", "swing.py"]) == 0
+    assert main(["calibrate", "rec", "--diagnosis", "second", "--effects", "swing.py", "--out", "calibration.json"]) == 0
+    home = design.mechanism.home.translation
+    (tmp_path / "poses.csv").write_text("frame,x,y,z,rx,ry,rz\n" + "".join(f"{i},{home[0] + x},{home[1]},{home[2]},0,0,0\n"
+                                                                          for i, x in enumerate((-0.02, 0.0, 0.02))))
+    correct = ["correct", "calibration.json", "--poses", "poses.csv", "--out", "commands.csv"]
+    capsys.readouterr()
+    assert main(correct) == 1 and "there is no effect 'swing'" in capsys.readouterr().err
+    assert main([*correct, "--effects", "swing.py"]) == 0
+    assert main([*correct[:-1], "plain.csv", "--uncorrected", "--effects", "swing.py"]) == 0
+    done, plain = (np.genfromtxt(name, delimiter=",", skip_header=1)[:, int(effect.place[-1])] for name in ("commands.csv", "plain.csv"))
+    assert 5e-6 < np.ptp(done - plain) < 1e-3
+    (tmp_path / "swing.py").write_text((tmp_path / "swing.py").read_text() + "# edited\n")
+    assert main([*correct, "--effects", "swing.py", "--force"]) == 1 and "is not as it was when" in capsys.readouterr().err
