@@ -152,9 +152,9 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
 
 def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
     axes = len(nominal.axes)
-    if isinstance(nominal, Arm) and isinstance(fitted, Arm):
-        return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)))
     extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
+    if isinstance(nominal, Arm) and isinstance(fitted, Arm):
+        return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension)
     posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps")) if tree.tree["schema"] == WITH_POSE_MAPS else ()
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
 

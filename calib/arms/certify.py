@@ -13,7 +13,7 @@ from calib.arms.rank import PLAUSIBLE
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
-from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, too_few
+from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, extension_scatter, too_few
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.samples import Samples
 from rig.design import Arm, Instrument
@@ -154,13 +154,19 @@ def owners_model(observations: Observations, nominal: Arm, instrument: Instrumen
 
 
 def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarray:
-    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters' and what the model leaves.
+    """(m, 6, 6) covariance of the corrected arm's pose at commands (m, joints) rad: the parameters', what the model leaves and what an extension
+    may be off.
 
     docs/mathematics.md (21)
     """
-    J = model.parameter_jacobian(commands, calibration.correction.fitted)
+    correction = calibration.correction
+    J = model.parameter_jacobian(commands, correction.fitted)
     known = np.arange(6) < len(calibration.scatter)  # of rotations that were never measured, nothing is known beyond the parameters
-    return J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + np.diag(np.resize(calibration.scatter, 6) ** 2 * known)
+    if correction.extension is None:
+        return covariance
+    joints = model.joint_jacobian(commands, correction.fitted)
+    return covariance + (joints * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(joints, 1, 2)
 
 
 def _held_out(samples: Samples, nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], profiles: tuple[bool, ...],
@@ -204,7 +210,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     T = correction.predict(q)
     scatter = np.resize(found.scatter, 6) * (np.arange(6) < len(found.scatter))
     workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T),
-                          (scatter**2).reshape(2, 3).sum(axis=1), words)
+                          (scatter**2).reshape(2, 3).sum(axis=1) + extension_scatter(correction, q, model.joint_jacobian(q, found.arm)), words)
     observed = of_samples(each)
     again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted)
     whitened = np.linalg.solve(np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None])[again.inliers]

@@ -21,6 +21,8 @@ class Rank:
 
     def report(self) -> list[str]:
         """Lines for a reader."""
+        if not self.asked:
+            return ["no parameters were sought"]
         lines = [f"{self.free.sum()} of {self.asked} parameters fitted; condition number {self.condition:.0f}"]
         lines += [f"{name} cannot be told from {', '.join(others)} and stays as stated" if others else
                   f"{name} has no effect on what was measured and stays as stated" for name, others in self.dependent]

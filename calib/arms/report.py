@@ -40,16 +40,18 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
 
 def _held(done: Certified) -> list[str]:
     held = done.held_out
-    if held is None or done.geometry is None or done.scattered is None:
+    if held is None or done.geometry is None:
         return []
     floor = " and ".join(f"{size * 1e3:.4f} {unit}" for size, unit in zip(held.floor, ("mm", "mrad")) if size < 1)
     floor += "".join(f"; {what} were not measured" for size, what in zip(held.floor, ("positions", "rotations")) if not size < 1)
     k, unit = (0, "mm") if held.floor[0] < 1 else (1, "mrad")
-    rows = [(name, *_figures(f)) for name, f in (("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after),
-                                                ("corrected, random rows", done.scattered.after))]
+    each = [("owner's model", held.before), ("geometry alone", done.geometry.after), ("corrected", held.after)]
+    each += [("corrected, random rows", done.scattered.after)] if done.scattered is not None else []
+    rows = [(name, *_figures(f)) for name, f in each]
     return [paragraph(f"Held-out poses (whole stretches of configurations in turn, N = {held.after.n}, {held.configurations} distinct "
                       f"configurations): the mean error falls from {held.before.mean[k] * 1e3:.3f} {unit} to {held.after.mean[k] * 1e3:.4f} {unit}. "
-                      f"The measured poses themselves are uncertain by {floor}. Rows drawn at random flatter: their neighbours in time were fitted."),
+                      f"The measured poses themselves are uncertain by {floor}."
+                      + (" Rows drawn at random flatter: their neighbours in time were fitted." if done.scattered is not None else "")),
             table(("held-out error", "mean, mm", "RMS", "95 %", "max", "mean, mrad", "RMS", "95 %", "max"), rows)]
 
 

@@ -8,7 +8,7 @@ to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and mis
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -151,10 +151,10 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Stru
     return claimed(workspace, draws, samples, told, rng)
 
 
-def extension_scatter(correction: Correction[Struts, Radial], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
+def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
     """(2,) m^2 and rad^2, mean square of the pose's error by that of a Correction's extension at commands (m, axes).
 
-    back : (m, 6, axes) change of the pose with the struts there
+    back : (m, 6, axes) change of the pose with the axes there
     """
     square = np.zeros((len(commands), 6)) if not correction.posed else correction.posed_error(correction.predict(commands)) ** 2
     if correction.extension is not None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
 from calib.samples import Samples, precision
 from rig import mechanisms
 from rig.configurations import FILL, low_discrepancy
+from rig.design import Arm
 from rig.errors import RigError
 from rig.kinds import Struts
 from rig.pose import difference
@@ -76,7 +77,7 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
     return done if field is None else replace(done, found=_without(samples, nominal, found, field, asked.alone)), tried
 
 
-def extended_on(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], stand: Callable[[Samples], "Stand"], kind: str,
+def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
                 rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
@@ -95,7 +96,7 @@ def extended_on(samples: Samples, basis: tuple[Struts, np.ndarray, Identified], 
                 raise
             refused[name] = str(error)
     splits = _splits(samples, label, nominal)
-    outcome = None if not splits else _held_out(samples, nominal, stand, fields, splits, said)
+    outcome = None if not splits else _held_out(samples, stand, fields, splits, said)
     kind = kind if kind != AUTO else NONE if outcome is None else _best(outcome)
     held = {} if outcome is None else {name: compare(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
                                        for name, errors in outcome.after.items()}
@@ -126,7 +127,7 @@ class _Outcome(NamedTuple):
     after: dict[str, np.ndarray]
 
 
-def _splits(samples: Samples, label: np.ndarray, nominal: Struts) -> list[tuple[np.ndarray, np.ndarray]]:
+def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[tuple[np.ndarray, np.ndarray]]:
     """[(fitted (n,) bool, held out (n,) bool)]; none where there are fewer than LEAST configurations."""
     if label.max() + 1 < LEAST:
         return []
@@ -144,7 +145,7 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Struts) -> list[tuple[
     return [(on & ~plane, plane) for plane in planes[::every]]
 
 
-def _held_out(samples: Samples, nominal: Struts, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
+def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
               splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
     rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
     said("holding configurations out", 0, len(splits))
@@ -152,7 +153,8 @@ def _held_out(samples: Samples, nominal: Struts, stand: Callable[[Samples], "Sta
         rest = samples.take(out)
         known, correct, _ = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
-        before.append(error_of(mechanisms.of(nominal).forward(rest.commanded, nominal), rest))
+        owners = correct(None).nominal  # of an arm, as the rest of the samples place it
+        before.append(error_of(mechanisms.of(owners).forward(rest.commanded, owners), rest))
         for name, field in fields.items():
             correction = correct(None if field is None else extend(known, name, field))
             after[name].append(error_of(correction.predict(rest.commanded), rest))
@@ -176,7 +178,8 @@ def said_by_struts(field: Field, samples: Samples, nominal: Struts) -> float:
 
 def _best(outcome: _Outcome) -> str:
     """The way that leaves least, if it `pays` against doing without."""
-    weight = precision(outcome.samples.total_covariance())
+    covariance = outcome.samples.total_covariance()
+    weight = precision(np.where(np.isinf(covariance), 1.0, covariance))  # what was not measured has no error to weigh
     loss = {name: np.einsum("ni,nij,nj->n", e, weight, e) for name, e in ((name, np.nan_to_num(errors)) for name, errors in outcome.after.items())}
     best = min(loss, key=lambda name: loss[name].mean())
     return best if pays(loss[NONE] - loss[best]) else NONE

@@ -168,41 +168,16 @@ def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None]
 
 def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], arguments: Namespace, rng: np.random.Generator,
               progress: Progress) -> Calibration:
-    from calib.certify.certificate import promised
-    from calib.certify.extended import Asked, certify_extended, promised_alone
-    from calib.correct.extend import single_step_misses
-    from calib.report import calibration_page
-    from rig.kinds import struts_of
-
-    samples, nominal = sampled.samples, struts_of(recording.design.mechanism)
-    before = _before(arguments.onto, nominal) if arguments.onto else None
-    kept: dict[str, Any] = {}
-    if before is None:
-        done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
-    else:
-        done, tried, kept = extending.passed(arguments, samples, before, rng, progress)
-    claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, arguments.argv, done, claim, before=None if before is None else (before, kept))
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found), claim, progress)
+    mechanism = recording.design.mechanism
+    before = _before(arguments.onto, mechanism) if arguments.onto else None
+    found = extending.certified(arguments, mechanism, sampled, before, rng, progress)
+    done = found.done
+    calibration = _stored(out[0], recording, sampled, arguments.argv, done, found.claim, before=None if before is None else (before, found.kept))
+    _shown(out[1], lambda page: found.draw(page, recording, calibration), found.claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
-    for one in tried:
-        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
-        if one.held_out is not None:
-            turned = one.held_out.after.rotation[0]
-            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS")
-        print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
-    field = done.correction.extension
-    known = getattr(field, "values", None) if field is not None and field.exact else None
-    on = f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
-        "the owner's model alone" if arguments.alone else "the fitted geometry")
-    for held in done.correction.posed:
-        print(f"a map in pose space: {held.field.kind}")
-    rms, most = single_step_misses(done.correction)
-    print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
-          + (f"; exact at its {len(known)} samples" if known is not None else ""))
-    print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms * 1e6:.3f} um RMS, {most * 1e6:.3f} um "
-          "at most")
+    extending.say(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
+        "the owner's model alone" if arguments.alone else "the fitted geometry"))
     _print_poses(sampled, done)
     return calibration
 

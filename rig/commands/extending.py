@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
 
+    from calib.arms.certify import Certified as ArmCertified
     from calib.certify.calibration import Calibration
     from calib.certify.certificate import Certified, Progress
+    from calib.certify.claim import Claim
     from calib.certify.extended import Tried
     from calib.correct.interpolate.part import Part
+    from calib.pipeline import Sampled
     from calib.samples import Samples
+    from rig.design import Arm, Chain, Free, Instrument
     from rig.kinds import Struts
+    from rig.recording import Recording
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
 SPACES = ("configuration", "pose", "both")
@@ -43,6 +51,78 @@ def refuse_mixed(arguments: Namespace) -> None:
         raise RigError("--space and --within are of a pass; name with --onto what it stands on")
     if arguments.extend and arguments.joint:
         raise RigError("--extend is not for --joint: give one of them")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extended:
+    """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; kept : what the provenance keeps of a pass
+    draw : writes the page of (path, Recording, Calibration); misses : (RMS, greatest) of the single step; unit : of an axis, m or rad."""
+
+    done: Certified | ArmCertified
+    tried: tuple[Tried, ...]
+    claim: Claim
+    kept: dict[str, Any]
+    draw: Callable[[Path, Recording, Calibration], None]
+    misses: tuple[float, float]
+    unit: str
+
+
+def certified(arguments: Namespace, mechanism: Struts | Arm | Chain | Free, sampled: Sampled, before: Calibration | None, rng: np.random.Generator,
+              progress: Progress) -> Extended:
+    """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a pass on top of an arm's calibration."""
+    from rig.kinds import arm_of, struts_of
+
+    if mechanism.kind == "arm":
+        if before is not None:
+            raise RigError("--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of its recordings")
+        return _of_arm(arguments, arm_of(mechanism), sampled.samples, sampled.instrument, rng, progress)
+    from calib.certify.certificate import promised
+    from calib.certify.extended import Asked, certify_extended, promised_alone
+    from calib.correct.extend import single_step_misses
+    from calib.report import calibration_page
+
+    samples, nominal = sampled.samples, struts_of(mechanism)
+    kept: dict[str, Any] = {}
+    if before is None:
+        done, tried = certify_extended(samples, nominal, Asked(arguments.extend, arguments.alone), rng, progress)
+    else:
+        done, tried, kept = passed(arguments, samples, before, rng, progress)
+    claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
+    return Extended(done, tried, claim, kept, lambda page, recording, made: calibration_page(page, recording, made, samples, done.found),
+                    single_step_misses(done.correction), "m")
+
+
+def _of_arm(arguments: Namespace, nominal: Arm, samples: Samples, instrument: Instrument | None, rng: np.random.Generator,
+            progress: Progress) -> Extended:
+    from calib.arms.certify import promised
+    from calib.arms.extended import certify_extended, promised_alone, single_step_misses
+    from calib.arms.report import calibration_page
+    from calib.certify.extended import Asked
+    from rig import mechanisms
+
+    done, tried = certify_extended(samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress)
+    claim = (promised_alone if arguments.alone else promised)(samples, done, rng)
+    return Extended(done, tried, claim, {}, lambda page, recording, made: calibration_page(page, recording, made, samples, done),
+                    single_step_misses(done.correction), mechanisms.unit(nominal))
+
+
+def say(found: Extended, on: str) -> None:
+    """Print what was tried and what was made of it. on : what the extension stands on, in words"""
+    for one in found.tried:
+        words = f"not tried: {one.reason}" if one.reason else "not held out, for want of poses"
+        if one.held_out is not None:
+            turned = one.held_out.after.rotation[0]
+            words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS")
+        print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
+    correction = found.done.correction
+    field = correction.extension
+    known = getattr(field, "values", None) if field is not None and field.exact else None
+    for held in correction.posed:
+        print(f"a map in pose space: {held.field.kind}")
+    print(f"KSF over the whole configuration space: {'none' if field is None else field.kind}, on {on}"
+          + (f"; exact at its {len(known)} samples" if known is not None else ""))
+    rms, most = (f"{value * 1e6:.3f} u{found.unit.replace(' or ', ' or u')}" for value in found.misses)
+    print(f"the single step X + KSF(X) misses the fixed point, which `rig correct` solves for, by {rms} RMS, {most} at most")
 
 
 def passed(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,

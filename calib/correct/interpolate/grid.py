@@ -84,8 +84,9 @@ class Grid(Weighted):
         """
         found = lattice(known.configurations, known.strokes)
         if found is None:
-            raise RigError(f"the {len(known.configurations)} samples fill no grid of configurations, which {cls.__name__.lower()} takes "
-                           "(a plan division:2 visits one); delaunay, axes, radial and polynomial take samples anywhere")
+            n, axes = known.configurations.shape
+            raise RigError(f"the {n} samples fill no grid of configurations, which {cls.__name__.lower()} takes (a plan division:2 visits one; over "
+                           f"{axes} axes it has {2**axes} vertices at the least); delaunay, axes, radial and polynomial take samples anywhere")
         on = found.vertex >= 0
         values, variances = averaged(known.take(on), found.vertex[on])
         grid = cls(found.levels, values, variances, np.zeros(values.shape[1]))
