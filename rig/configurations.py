@@ -5,10 +5,9 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig import mechanisms, table
+from rig import mechanisms, sobol, table
 from rig.design import Design, Hexapod
 from rig.errors import FileError, RigError
 from rig.outside import shown
@@ -21,8 +20,7 @@ DIAGONAL = 0.8  # of half the cube's diagonal, at which ISO 9283 places its pose
 
 def low_discrepancy(strokes: np.ndarray, count: int, fill: float = FILL, seed: int = 0) -> np.ndarray:
     """(count, axes) configurations that cover the middle `fill` of the strokes (axes, 2) evenly (scrambled Sobol points)."""
-    points = scipy.stats.qmc.Sobol(len(strokes), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
-    return scaled(strokes, 2 * points - 1, fill)
+    return scaled(strokes, 2 * sobol.points(len(strokes), count, seed) - 1, fill)
 
 
 def grid(strokes: np.ndarray, per_axis: int, fill: float = FILL) -> np.ndarray:

@@ -1,17 +1,20 @@
-"""One function of many things on all cores: what it reads is inherited by forking, only what it found is sent back.
+"""One function of many things on all cores: in processes, which inherit what it reads by forking and send back what it found, or in threads.
 
 Threads within the products of matrices as small as here cost more than they bring; who calls limits them to one.
 """
 
 import multiprocessing
 from collections.abc import Callable, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from rig.processes import cores, gathered, pool_of
 
 FEW = 4  # things for each process, below which it is not worth starting any
 
 Progress = Callable[[int, int], None]  # called with (done, of)
+T = TypeVar("T")
+R = TypeVar("R")
 
 _inherited: tuple[Callable, Sequence] | None = None  # what the processes forked next are to call
 
@@ -38,6 +41,15 @@ def parallel_map(function: Callable[[Any], Any], things: Sequence, progress: Pro
             return gathered(pool, _call, range(len(things)), progress)
     finally:
         _inherited = None
+
+
+def threaded(function: Callable[[T], R], things: Sequence[T]) -> list[R]:
+    """[function(thing)] in the things' order, side by side in threads: for a few large things whose work lets go of the interpreter's lock."""
+    count = min(cores(), len(things))
+    if count < 2 or _inherited is not None:
+        return [function(thing) for thing in things]
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(function, things))
 
 
 def _call(i: int) -> Any:

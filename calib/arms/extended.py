@@ -38,8 +38,8 @@ def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
     """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
-    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or positions alone, leave open takes the least values, by
-    the poses' covariance. Variances of what is not told are those of the worst that is.
+    A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or positions alone, leave open takes
+    the least values, by the poses' covariance. Variances of what is not told are those of the worst that is.
     """
     o = of_samples(samples)
     W = np.linalg.inv(np.linalg.cholesky(o.covariance))

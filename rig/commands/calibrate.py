@@ -80,7 +80,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     sampled = from_limbs.sampled(arguments, recording, progress, look)
     sampled = replace(sampled, files=(*sampled.files, *arguments.effects))
     rng = np.random.default_rng(SEED)
-    extending.refuse_mixed(arguments)
+    extending.refuse_mixed(arguments, nominal.kind)
     if arguments.extend:
         calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
     elif arguments.joint and nominal.kind in ("arm", "chain"):

@@ -43,12 +43,14 @@ def arguments(parser: ArgumentParser) -> None:
                         "and of poses (x y z in m, rx ry rz in rad from home), as l1=0.40:0.46,z=0.41: ")
 
 
-def refuse_mixed(arguments: Namespace) -> None:
-    """Raise RigError for arguments about --extend that do not go together."""
+def refuse_mixed(arguments: Namespace, kind: str) -> None:
+    """Raise RigError for arguments about --extend that do not go together, or not with a mechanism of a kind."""
     if (arguments.alone or arguments.onto) and not arguments.extend or (arguments.alone and arguments.onto):
         raise RigError("--alone and --onto each say on what --extend stands; it takes one of them")
     if (arguments.space or arguments.within) and not arguments.onto:
         raise RigError("--space and --within are of a pass; name with --onto what it stands on")
+    if arguments.onto and kind == "arm":
+        raise RigError("--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of its recordings")
     if arguments.extend and arguments.joint:
         raise RigError("--extend is not for --joint: give one of them")
 
@@ -69,12 +71,10 @@ class Extended:
 
 def certified(arguments: Namespace, mechanism: Struts | Arm | Chain | Free, sampled: Sampled, before: Calibration | None, rng: np.random.Generator,
               progress: Progress) -> Extended:
-    """Extended, of a machine on struts or an arm. Raises RigError for a chain, and for a pass on top of an arm's calibration."""
+    """Extended, of a machine on struts or an arm. Raises RigError for a chain."""
     from rig.kinds import arm_of, struts_of
 
     if mechanism.kind == "arm":
-        if before is not None:
-            raise RigError("--onto is a pass on top of a calibration of struts; an arm's is extended in one go, by all of its recordings")
         return _of_arm(arguments, arm_of(mechanism), sampled.samples, sampled.instrument, rng, progress)
     from calib.certify.certificate import promised
     from calib.certify.extended import Asked, certify_extended, promised_alone

@@ -1,10 +1,12 @@
 """Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from vision.bundle.derivatives import moved, seen
+from rig.parallel import threaded
+from vision.bundle.derivatives import Seen, moved, seen
 from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.motions import shifts
 from vision.bundle.printing import SIDE, derivative
@@ -54,8 +56,9 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         R_marker, in_marker = state.placed.T_body_marker.rotation.as_matrix(), state.placed.side[:, None, None] * SQUARE
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
-    residual, found = np.empty((len(observations), 2)), {}
-    for i, rows, uv, J_base, J_camera, J_lens in seen(observations, state):
+
+    def one(view: Seen) -> tuple[Derivatives, np.ndarray]:
+        i, rows, uv, J_base, J_camera, J_lens = view
         frame, on = observations.frame[rows], observations.on_platform[rows][:, None, None]
         marker, corner, own = observations.marker[rows], observations.corner[rows], whitener.own[rows]
         whitened = own @ (observations.uv[rows] - uv)[..., None]
@@ -96,8 +99,12 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         mine, common = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[every[marker]][:, None]
         count = mine.shape[2]
         mixed = whitener.mix(np.concatenate([mine, common, whitened], axis=-1), rows)
-        residual[rows] = mixed[..., -1]
-        found[i] = Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], every, steady)
+        return Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], every, steady), mixed[..., -1]
+
+    residual, found = np.empty((len(observations), 2)), {}
+    views = list(seen(observations, state))
+    for view, (derivatives, left) in zip(views, threaded(one, views)):
+        residual[derivatives.rows], found[view[0]] = left, derivatives
     return residual, found
 
 
@@ -120,14 +127,29 @@ def normal_equations(observations: Observations, derivatives: dict[int, Derivati
     """Blocks of the whitened residuals (n, 2) and of what the stated values are worth. offset : (s,) scaled, from the stated."""
     frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
     blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
-    for found in derivatives.values():
-        _add_camera(observations, found, residual[found.rows], blocks)
+    for sums in threaded(lambda found: _sums(observations, found, residual[found.rows]), list(derivatives.values())):
+        sums.add_to(blocks)
     blocks.local[:, np.arange(l), np.arange(l)] += ~unknowns.used  # unknowns that nothing sees stay put
     return blocks
 
 
-def _add_camera(observations: Observations, found: Derivatives, residual: np.ndarray, blocks: Blocks) -> None:
-    """Add one camera's corners to Blocks, marker by marker: A^T A of a marker's four corners, summed where it belongs."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """One camera's part of Blocks. parts : (name of an array of Blocks, where in it, what is added); repeated : likewise, where places may recur."""
+
+    parts: tuple[tuple[str, Any, np.ndarray], ...]
+    repeated: tuple[tuple[str, Any, np.ndarray], ...]
+
+    def add_to(self, blocks: Blocks) -> None:
+        """Add them."""
+        for name, place, values in self.parts:
+            getattr(blocks, name)[place] += values
+        for name, place, values in self.repeated:
+            np.add.at(getattr(blocks, name), place, values)
+
+
+def _sums(observations: Observations, found: Derivatives, residual: np.ndarray) -> _Sums:
+    """Sums of one camera's corners, marker by marker: A^T A of a marker's four corners, summed where it belongs."""
     frame, marker = observations.frame[found.rows], observations.marker[found.rows]
     new = np.r_[True, (np.diff(frame) != 0) | (np.diff(marker) != 0)]
     sighting, first = np.cumsum(new) - 1, np.flatnonzero(new)
@@ -140,19 +162,19 @@ def _add_camera(observations: Observations, found: Derivatives, residual: np.nda
     frame, marker, own, steady = frame[first], marker[first], found.own_columns, k + found.steady
     edges = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
     f = frame[edges]
-    blocks.local[np.ix_(f, own, own)] += np.add.reduceat(N[:, :k, :k], edges)
-    blocks.own[np.ix_(f, own)] += np.add.reduceat(g[:, :k], edges)
+    parts = [("local", np.ix_(f, own, own), np.add.reduceat(N[:, :k, :k], edges)), ("own", np.ix_(f, own), np.add.reduceat(g[:, :k], edges))]
+    repeated: list[tuple[str, Any, np.ndarray]] = []
     if found.steady:
-        columns = found.shared_columns[0, : found.steady]
-        blocks.cross[np.ix_(f, own, columns)] += np.add.reduceat(N[:, :k, k:steady], edges)
+        parts.append(("cross", np.ix_(f, own, found.shared_columns[0, : found.steady]), np.add.reduceat(N[:, :k, k:steady], edges)))
     if steady < k + w:
         columns = found.shared_columns[marker, None, found.steady :]
-        np.add.at(blocks.cross, (frame[:, None, None], own[None, :, None], columns), N[:, :k, steady:])
+        repeated.append(("cross", (frame[:, None, None], own[None, :, None], columns), N[:, :k, steady:]))
     order = np.argsort(marker, kind="stable")
     edges = np.flatnonzero(np.r_[True, np.diff(marker[order]) != 0])
     columns = found.shared_columns[marker[order][edges]]
-    np.add.at(blocks.shared, (columns[:, :, None], columns[:, None, :]), np.add.reduceat(N[order, k:, k:], edges))
-    np.add.at(blocks.common, columns, np.add.reduceat(g[order, k:], edges))
+    repeated.append(("shared", (columns[:, :, None], columns[:, None, :]), np.add.reduceat(N[order, k:, k:], edges)))
+    repeated.append(("common", columns, np.add.reduceat(g[order, k:], edges)))
+    return _Sums(tuple(parts), tuple(repeated))
 
 
 def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
