@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -54,8 +55,17 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
     cameras = {c.name for c in design.cameras}
     markers = {number for target in design.targets for number in target.ids}
     exposed = set(zip(exposures.frame.tolist(), exposures.camera))
+    keys = list(zip(frame.tolist(), camera, marker.tolist(), corner.tolist()))
+    sound = len(set(keys)) == len(keys) and set(camera) <= cameras and set(marker.tolist()) <= markers and set(zip(frame.tolist(), camera)) <= exposed
+    if not sound or corner.max() > 3:
+        _refuse(rows, keys, cameras, markers, exposed)
+    return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
+
+
+def _refuse(rows: Table, keys: list[tuple[int, str, int, int]], cameras: set[str], markers: set[int], exposed: set[tuple[int, str]]) -> NoReturn:
+    """Raise FileError at the first corner, by (frame, camera, marker, corner), that cannot be or is there twice."""
     seen: dict = {}
-    for i, key in enumerate(zip(frame.tolist(), camera, marker.tolist(), corner.tolist())):
+    for i, key in enumerate(keys):
         if key[1] not in cameras:
             rows.fail(f"unknown camera {key[1]!r}; rig.toml has {', '.join(sorted(cameras)) or 'none'}", i, "camera", key[1])
         if key[2] not in markers:
@@ -68,7 +78,7 @@ def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | 
             rows.fail(f"corner {key[3]} of marker {key[2]} is listed twice in frame {key[0]}, camera {key[1]!r}, first in line "
                       f"{rows.lines[seen[key]]}", i, "marker", key[2])
         seen[key] = i
-    return Corners(frame, camera, marker, corner, uv, _corner_covariance(rows))
+    raise AssertionError("unreachable: bad corners without a bad one")
 
 
 def _corner_covariance(rows: Table) -> np.ndarray | None:

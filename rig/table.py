@@ -107,7 +107,7 @@ def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] 
         header = _header(path, next(reader, ()), required, optional)
         rows, lines = [], []
         for row in reader:
-            if not any(cell.strip() for cell in row):
+            if not (row and row[0].strip()) and not any(cell.strip() for cell in row):
                 continue
             if len(row) != len(header):
                 raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns", reader.line_num,

@@ -66,16 +66,13 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
         J_body = np.where(on, J_base @ R_platform[frame], J_base)
         local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [np.arange(6)]
         shared, columns = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)]
-        if i in unknowns.local_poses or i in unknowns.poses:
-            if i in unknowns.local_poses:
-                local.append(own @ J_camera)
-                own_columns.append(_range(unknowns.local_poses[i]))
-            else:
-                shared.append(own @ J_camera)
-                columns.append(np.tile(_range(unknowns.poses[i]), (markers, 1)))
-        if i in unknowns.lenses:
-            shared.append(own @ J_lens)
-            columns.append(np.tile(_range(unknowns.lenses[i]), (markers, 1)))
+        if i in unknowns.local_poses:
+            local.append(own @ J_camera)
+            own_columns.append(_range(unknowns.local_poses[i]))
+        for of, J in ((unknowns.poses, J_camera), (unknowns.lenses, J_lens)):
+            if i in of:
+                shared.append(own @ J)
+                columns.append(np.tile(_range(of[i]), (markers, 1)))
         if unknowns.markers or unknowns.prints.rows:
             J_marker, at = J_body @ R_marker[marker], in_marker[marker, corner]
         if unknowns.prints.rows:
