@@ -40,6 +40,7 @@ def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
     A joint has one only as far as its pose tells it (see LOOSE) and the model is near; what too few joints, or positions alone, leave open takes
     the least values, by the poses' covariance. Variances of what is not told are those of the worst that is.
+    Raises RigError naming a frame whose pose the model does not come to
     """
     o = of_samples(samples)
     W = np.linalg.inv(np.linalg.cholesky(o.covariance))
