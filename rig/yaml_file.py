@@ -11,7 +11,7 @@ from rig.errors import FileError
 from rig.outside import read_text
 
 LARGEST = 1 << 22  # bytes
-MOST = 1_000_000  # values: an alias may stand for many
+MOST = 100_000  # values: an alias may stand for many
 DIRECTIVE = re.compile(r"\A%YAML[: ]1\.[0-9][^\n]*")  # as OpenCV writes it, which is no YAML
 WHOLE = re.compile(r"[-+]?[0-9]{1,300}")
 NUMBER = re.compile(r"[-+]?([0-9]{1,300}\.?[0-9]{0,300}|\.[0-9]{1,300})([eE][-+]?[0-9]{1,3})?")

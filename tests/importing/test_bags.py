@@ -166,6 +166,7 @@ def test_messages_without_stamps_have_the_times_at_which_they_were_received(rig,
     assert np.abs(recording.load(tmp_path / "rec").commands.t - np.arange(N + 1)).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [ros1, ros2, mcap])
 def test_a_damaged_bag_is_refused_by_its_name(made, rig, tmp_path):
     bag = made(tmp_path / "run", messages(held(np.random.default_rng(4))))

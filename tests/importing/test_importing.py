@@ -10,13 +10,7 @@ from rig.cli import main
 from rig.errors import RigError
 from rig.importing import times
 from tests.importing.foreign import DIALECTS, export
-from tests.mistakes.good import make
 from tests.mistakes.test_mistakes import said
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    return make("poses", tmp_path_factory.mktemp("good") / "rec")
 
 
 def words(folder, files, dialect=None, *more):

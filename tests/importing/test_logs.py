@@ -13,15 +13,9 @@ from rig import parquet_file, recording
 from rig.errors import MissingLibrary
 from tests.importing.foreign import columns
 from tests.importing.test_importing import same, words
-from tests.mistakes.good import make
 from tests.mistakes.test_mistakes import said
 
 EPOCH = 1763800000
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory):
-    return make("poses", tmp_path_factory.mktemp("good") / "rec")
 
 
 def tum(folder, out, header):
