@@ -16,6 +16,7 @@ from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import Identified
 from calib.pose_figures import before_after, coverage
 from calib.samples import Samples
+from calib.scene import stage
 from calib.workspace.drawing import section
 from rig import mechanisms
 from rig.kinds import Struts
@@ -24,6 +25,7 @@ from rig.page.document import Link, Page, State, Verdict, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, listed, note, paragraph, table
 from rig.pose import vector
+from rig.page.stage import scripts, view
 from rig.recording import Recording
 
 
@@ -33,7 +35,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
     correction = calibration.correction
     parts = [*rests_on(calibration.claim), *_held(calibration.held_out),
              heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             before_after(*errors_of(correction, samples), samples.frame),
+             before_after(*errors_of(correction, samples), samples.frame), *in_space(recording, calibration, samples),
              heading("What each strut is corrected by"), note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the "
                                                               "same configurations."), _corrections(correction, samples),
              heading("What the correction leaves"), _left(samples, found), heading("Where the platform went"),
@@ -41,7 +43,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              heading("Parameters"), _combinations(calibration, found), folded("Every parameter's change", _parameters(calibration)),
              heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
     write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
-                     to_do(calibration.claim), links))
+                     to_do(calibration.claim), links, scripts(parts)))
 
 
 def judged(claim: Claim | None) -> Verdict:
@@ -60,6 +62,15 @@ def to_do(claim: Claim | None) -> list[str]:
         return ["Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"]
     return ["Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC --out certificate.html`",
             "Ask for commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out commands.csv`"]
+
+
+def in_space(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
+    """HTML of the rig in three dimensions, errors before and after; nothing where positions were not measured."""
+    if not samples.measured.startswith("pos"):
+        return []
+    before, after = errors_of(calibration.correction, samples)
+    shown = stage(recording.design, samples.frame, samples.T_base_platform, samples.commanded, {"owner's model": -before, "corrected": -after})
+    return [heading("In three dimensions"), *view(shown)]
 
 
 def rests_on(claim: Claim | None) -> list[str]:

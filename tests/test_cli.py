@@ -107,8 +107,10 @@ def test_verify_reports_held_out_figures(worked):
     assert tree["n"] == 20 and tree["held_out"] is True
     assert tree["before"]["position"]["rms"] > 15 * tree["after"]["position"]["rms"]
     assert tree["after"]["position"]["rms"] <= tree["after"]["position"]["max"] and "p95" in tree["after"]["rotation"]
-    text = run("verify", base / "calibration.json", base / "check").stdout
+    text = run("verify", base / "calibration.json", base / "check", "--page", base / "verified.html").stdout
     assert "N = 20" in text and re.search(r"corrected\s+0\.0", text)
+    page = (base / "verified.html").read_text()
+    assert "<strong>good</strong>" in page and "the claim is kept" in page and 'href="calibration.html"' in page and 'id="stage-data"' in page
     same = run("verify", base / "calibration.json", base / "fit")
     assert "not held out" in same.stderr
 

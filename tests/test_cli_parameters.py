@@ -20,7 +20,9 @@ def rig_file(tmp_path, rig_text):
 
 def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsys):
     out = tmp_path / "plan.csv"
-    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "10", "--out", str(out)]) == 0
+    assert main(["plan", str(rig_file), "--for", "parameters", "--count", "10", "--out", str(out), "--page", str(tmp_path / "p.html")]) == 0
+    page = (tmp_path / "p.html").read_text()
+    assert "<strong>good</strong> 10 configurations beside 0 given" in page and f"commands:{out}" in page
     said = capsys.readouterr().out
     assert "condition number of the 42" in said and "evenly spread" in said and " um " in said
     assert len(table.read(out, ("frame", "l1"))) == 10
@@ -57,7 +59,9 @@ def test_a_missed_step_in_a_recording_is_told(rig_file, tmp_path, capsys):
     first = int(times.numbers("frame")[times.numbers("t") > 400][0])
     state = tmp_path / "state.json"
     capsys.readouterr()
-    assert main(["online", str(tmp_path / "rec"), "--state", str(state)]) == 0
+    assert main(["online", str(tmp_path / "rec"), "--state", str(state), "--page", str(tmp_path / "learnt.html")]) == 0
+    page = (tmp_path / "learnt.html").read_text()
+    assert "<strong>check</strong> 1 change," in page and "What jumped" in page and "on strut 3 is longer" in page
     said = capsys.readouterr().out
     assert said.startswith("1 change in 110 poses from corners.csv")
     assert f"from frame {first} on strut 3 is longer by +0.0" in said and said.count("longer") == 1
@@ -88,7 +92,9 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
 def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsys):
     rec, again, limbs, state = limbed[1].folder, tmp_path / "again", tmp_path / "limbs.json", tmp_path / "state.json"
     shutil.copytree(rec.parent / "again", again)
-    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4", "--out", str(limbs)]) == 0
+    assert main(["insitu", str(rec), "--state", str(state), "--tolerance", "1e-4", "4e-4", "--out", str(limbs), "--page",
+                 str(tmp_path / "limbs.html")]) == 0
+    assert "<strong>good</strong> the measuring limbs pass on all six axes" in (tmp_path / "limbs.html").read_text()
     said = capsys.readouterr().out
     assert "the measuring limbs pass" in said and "verdict accepted" in said and "nothing jumped in 80 poses from measuring limbs" in said
     assert main(["measure", str(again), "--limbs", str(limbs), "--out", str(tmp_path / "poses"), "--check", "10"]) == 0

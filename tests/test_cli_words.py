@@ -122,6 +122,7 @@ def test_new_writes_a_rig_by_options_and_refuses_to_guess(tmp_path, capsys):
     assert capsys.readouterr().out == ""
     assert main(["design", "--radius", "0.3"]) == 0
     assert (tmp_path / "a" / "rig.toml").read_text() == capsys.readouterr().out
+    assert "there is no page yet" in (tmp_path / "a" / "index.html").read_text()
     for words, says in ((["--radius", "300"], "length above 0 with its unit"), (["--mechanism", "hexpod"], "did you mean hexapod?"),
                         (["--cameras", "0", "--radius", "1m"], "1 to 20 cameras"), (["--size", "big", "--radius", "1m"], "expected for example")):
         assert main(["new", str(tmp_path / "b"), "--defaults", *words]) == 1

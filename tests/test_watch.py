@@ -29,7 +29,8 @@ def week(watched, tmp_path, capsys):
     """A history of three quiet visits, by the command."""
     base, _ = watched
     assert main(["watch", str(base / "calibration.json"), *(str(base / f"day{day}") for day in range(3)), "--history",
-                 str(tmp_path / "watch.json")]) == 0
+                 str(tmp_path / "watch.json"), "--page", str(tmp_path / "watch.html")]) == 0
+    assert "<strong>good</strong> the calibration holds at visit 3" in (tmp_path / "watch.html").read_text()
     said = capsys.readouterr().out
     assert said.count("the calibration holds") == 1 and said.count("nothing has changed") == 2 and f"{ALARM:g} visits" in said
     return tmp_path / "watch.json"
@@ -44,7 +45,10 @@ def test_what_changed_is_named_with_what_to_do(watched, week, tmp_path, which, s
     rng = np.random.default_rng(5)
     change = changed(which, one, rng)
     one.visit(tmp_path / "after", rng, change)
-    assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week)]) == CHANGED
+    assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week), "--page",
+                 str(tmp_path / "after.html")]) == CHANGED
+    page = (tmp_path / "after.html").read_text()
+    assert f"<strong>bad</strong> something changed, likeliest {change.name}" in page and to_do in page
     said = capsys.readouterr().out
     assert says in said and "since after" in said and change.name in said and to_do in said and "4 visits in" in said
     one.visit(tmp_path / "later", rng, change)

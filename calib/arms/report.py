@@ -11,7 +11,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures
 from calib.certify.held_out import errors_of
 from calib.pose_figures import before_after, coverage
-from calib.report import judged, origin, rests_on, to_do
+from calib.report import in_space, judged, origin, rests_on, to_do
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms
@@ -19,6 +19,7 @@ from rig.effects.covariate import DRAWN
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, note, paragraph, table
+from rig.page.stage import scripts
 from rig.recording import Recording
 
 
@@ -28,14 +29,14 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
     parts = [*rests_on(calibration.claim), *_held(done),
              heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
-             before_after(*errors_of(calibration.correction, samples), samples.frame),
+             before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
              heading("What each joint is corrected by"), note("Beyond its offset, along the configurations visited."),
              _profiles(calibration, samples), heading("Where the target went"), coverage(went), *section(calibration.workspace, "rad"),
              heading("Parameters"), *(paragraph(f"{line}.") for line in done.found.rank.report()),
              folded("Every parameter's change", _parameters(calibration)),
              heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
     write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
-                     to_do(calibration.claim), links))
+                     to_do(calibration.claim), links, scripts(parts)))
 
 
 def _held(done: Certified) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.page.document import Page, State, Verdict, write
+from rig.page.document import Link, Page, State, Verdict, write
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, note, paragraph, table
 from synthetic import score
@@ -17,6 +17,7 @@ from synthetic import score
 if TYPE_CHECKING:
     from synthetic.score import Case, Figure, Hidden
 
+LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 
 
@@ -56,8 +57,9 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
         parts.append(_strengths(cases))
     parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
               _confusion(score.confusion(cases)), heading("Answers that were not right"), _wrong(cases)]
+    links = [Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html") for c in cases if c.failed is None and not _right(c)][:LINKS]
     steps = ["Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"]
-    write(path, Page("blind", "Blind cases", judged(score.figures(cases)), parts, steps))
+    write(path, Page("blind", "Blind cases", judged(score.figures(cases)), parts, steps if links else [], links))
 
 
 def judged(figures: list[Figure]) -> Verdict:
@@ -109,8 +111,12 @@ def _wrong(cases: list[Case]) -> str:
     for c in cases:
         hidden = ", ".join(f"{h.effect} at {h.place} ({h.strength:.3g})" for h in c.hidden) or c.disturbance or "nothing"
         found = ", ".join(f"{f.effect} at {f.place}" for f in c.found) or "nothing"
-        right = {"nothing": not c.found and not c.unexplained, "noise": not c.named, "foreign": c.unexplained and not c.named}.get(
-            c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden))
-        if c.failed is not None or not right:
+        if c.failed is not None or not _right(c):
             rows.append((c.index, hidden, c.failed or found))
     return table(("case", "hidden (strength)", "found"), rows) if rows else paragraph("There is none.")
+
+
+def _right(c: Case) -> bool:
+    """Whether a case was answered as it ought to be."""
+    known = {"nothing": not c.found and not c.unexplained, "noise": not c.named, "foreign": c.unexplained and not c.named}
+    return bool(known.get(c.kind, all(outcome(c, h) == OUTCOMES[0] for h in c.hidden) and len(c.named) == len(c.hidden)))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs, own_effects
-from rig.commands.output import SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, print_comparison, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, near, print_comparison, print_unsolved
 from rig.commands.worth import tell
 from rig.errors import RigError
 
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from calib.pipeline import Sampled
     from calib.store import Calibration
     from rig.effects.parse import Kinds
+    from rig.page.document import Link
     from rig.recording import Corners, Recording
+
+    Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -69,6 +72,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
 
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
+    links = near(arguments, arguments.out.with_suffix(".html")) if page else []
     nominal = recording.design.mechanism
     told = page is not None and nominal.kind not in ("arm", "chain")
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
@@ -82,16 +86,16 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
     rng = np.random.default_rng(SEED)
     extending.refuse_mixed(arguments, nominal.kind)
     if arguments.extend:
-        calibration = _extended(recording, sampled, (out, page), arguments, rng, progress)
+        calibration = _extended(recording, sampled, (out, page, links), arguments, rng, progress)
     elif arguments.joint and nominal.kind in ("arm", "chain"):
         raise RigError(f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} takes none of it")
     elif nominal.kind == "chain":
-        calibration = _chain(recording, sampled, (out, page), arguments.argv, rng, progress)
+        calibration = _chain(recording, sampled, (out, page, links), arguments.argv, rng, progress)
     elif nominal.kind == "arm":
-        calibration = _arm(recording, sampled, (out, page), arguments.argv, rng, progress)
+        calibration = _arm(recording, sampled, (out, page, links), arguments.argv, rng, progress)
     else:
         taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
-        calibration = _struts(recording, sampled, (out, page), arguments.argv, rng, progress, arguments.joint, taken)
+        calibration = _struts(recording, sampled, (out, page, links), arguments.argv, rng, progress, arguments.joint, taken)
     if values is not None:
         from calib.correct.values import summand_columns, summand_rows
         from rig.writing import write_table
@@ -137,7 +141,7 @@ def _values_name(out: Path) -> str:
     return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
 
 
-def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator, progress: Progress,
+def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator, progress: Progress,
              joint: bool, taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised
     from calib.report import calibration_page
@@ -155,7 +159,7 @@ def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None]
         done = replace(done, correction=correction, found=found)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -166,14 +170,14 @@ def _struts(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None]
     return calibration
 
 
-def _extended(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], arguments: Namespace, rng: np.random.Generator,
+def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
               progress: Progress) -> Calibration:
     mechanism = recording.design.mechanism
     before = _before(arguments.onto, mechanism) if arguments.onto else None
     found = extending.certified(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
     calibration = _stored(out[0], recording, sampled, arguments.argv, done, found.claim, before=None if before is None else (before, found.kept))
-    _shown(out[1], lambda page: found.draw(page, recording, calibration), found.claim, progress)
+    _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), found.claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
     extending.say(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
@@ -207,7 +211,7 @@ def _before(path: Path, nominal: Any) -> Calibration:
     return before
 
 
-def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator,
+def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator,
          progress: Progress) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
@@ -216,7 +220,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), claim, progress)
     if done.held_out and done.geometry and done.scattered:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
         kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -232,7 +236,7 @@ def _arm(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], a
     return calibration
 
 
-def _chain(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None], argv: list[str], rng: np.random.Generator,
+def _chain(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator,
            progress: Progress) -> Calibration:
     from calib.chains.certify import certify, promised
     from calib.chains.report import calibration_page
@@ -241,7 +245,7 @@ def _chain(recording: Recording, sampled: Sampled, out: tuple[Any, Path | None],
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), claim, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     print("\n".join(done.found.report()))

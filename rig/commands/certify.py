@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, near, print_unsolved
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _write(path: Path, suffix: str, made: Certificate, arguments: Namespace) -> 
     if suffix == ".html":
         from calib.statement.page import certificate_page
 
-        certificate_page(path, made)
+        certificate_page(path, made, near(arguments, arguments.out if arguments.out.suffix else arguments.out / path.name))
     elif suffix == ".pdf":
         from calib.statement import pdf
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig import json_file
 from rig.commands import checking, experimenting, own_effects
-from rig.commands.output import Progress, add_force, add_recordings, add_result
+from rig.commands.output import Progress, add_force, add_recordings, add_result, near
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
                     own=known.own)
     report = arm.report(found)
     arm.save(out, found, recording)
-    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named))
+    diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
     return report
 
 
@@ -140,7 +140,7 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
                              kinds=known.kinds), said=_said(arguments), own=known.own)
     report = platform.report(found)
     platform.save(out, found, recording)
-    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found))
+    diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         experimenting.write_next(arguments, found, recording.design, out, progress)
     return report

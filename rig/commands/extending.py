@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.samples import Samples
     from rig.design import Arm, Chain, Free, Instrument
     from rig.kinds import Struts
+    from rig.page.document import Link
     from rig.recording import Recording
 
 WAYS = ("linear", "simplex", "delaunay", "axes", "radial", "polynomial", "auto")
@@ -58,13 +59,13 @@ def refuse_mixed(arguments: Namespace, kind: str) -> None:
 @dataclass(frozen=True, slots=True, eq=False)
 class Extended:
     """done : Certified, of struts or of an arm; tried : Tried of each way; claim : Claim; kept : what the provenance keeps of a pass
-    draw : writes the page of (path, Recording, Calibration); misses : (RMS, greatest) of the single step; unit : of an axis, m or rad."""
+    draw : writes the page of (path, Recording, Calibration, its links); misses : (RMS, greatest) of the single step; unit : of an axis, m or rad."""
 
     done: Certified | ArmCertified
     tried: tuple[Tried, ...]
     claim: Claim
     kept: dict[str, Any]
-    draw: Callable[[Path, Recording, Calibration], None]
+    draw: Callable[[Path, Recording, Calibration, list[Link]], None]
     misses: tuple[float, float]
     unit: str
 
@@ -88,7 +89,7 @@ def certified(arguments: Namespace, mechanism: Struts | Arm | Chain | Free, samp
     else:
         done, tried, kept = passed(arguments, samples, before, rng, progress)
     claim = promised(samples, done, rng) if not arguments.alone and before is None else promised_alone(samples, done, rng)
-    return Extended(done, tried, claim, kept, lambda page, recording, made: calibration_page(page, recording, made, samples, done.found),
+    return Extended(done, tried, claim, kept, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done.found, links),
                     single_step_misses(done.correction), "m")
 
 
@@ -102,7 +103,7 @@ def _of_arm(arguments: Namespace, nominal: Arm, samples: Samples, instrument: In
 
     done, tried = certify_extended(samples, nominal, instrument, Asked(arguments.extend, arguments.alone), rng, progress)
     claim = (promised_alone if arguments.alone else promised)(samples, done, rng)
-    return Extended(done, tried, claim, {}, lambda page, recording, made: calibration_page(page, recording, made, samples, done),
+    return Extended(done, tried, claim, {}, lambda page, rec, made, links: calibration_page(page, rec, made, samples, done, links),
                     single_step_misses(done.correction), mechanisms.unit(nominal))
 
 

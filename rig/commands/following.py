@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from calib.online.learners import Learner
+    from calib.pages.learnt import Learnt
     from calib.pipeline import Sampled
     from calib.store import Calibration
     from rig.recording import Recording
@@ -40,8 +41,8 @@ def refuse_settings(arguments: Namespace) -> None:
 
 
 def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
-           progress: Progress) -> None:
-    """Learn a recording's poses one at a time by the learner that is asked for, and say how well it expected them.
+           progress: Progress) -> Learnt:
+    """What a recording's poses taught one at a time, by the learner that is asked for; it is said how well it expected them.
 
     sampled : makes the Sampled of the recording; state : where it is saved, or None
     Raises RigError for a state of another learner, and where no pose is left to learn
@@ -50,6 +51,7 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
 
     from calib.identify.geometry import parameters
     from calib.online import learner_file
+    from calib.pages.learnt import Learnt
     from rig.commands.online import fresh_of, not_learnt
     from rig.kinds import hexapod_of
     from rig.provenance import flat, marks
@@ -76,6 +78,8 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     if state is not None:
         learner_file.save(state, learner)
         print(f"written: {arguments.state}")
+    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
+    return Learnt(samples.frame, errors, found.source, (), (), sigma, float(np.sqrt(np.mean(moved**2))))
 
 
 def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:

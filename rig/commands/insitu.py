@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import online
-from rig.commands.output import Progress, add_recording, add_result, print_unsolved, read_recording
+from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def arguments(parser: ArgumentParser) -> None:
                         help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
     parser.add_argument("--out", metavar="FILE", type=Path, help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
                         "calibrate, online and run")
+    add_page(parser)
     parser.add_argument("--state", metavar="FILE", type=Path, help="once passed: learn the struts from the limbs' poses, and save that here")
     add_result(parser)
 
@@ -42,6 +43,7 @@ def run(arguments: Namespace) -> int:
     renewed = arguments.out is not None and limbs_file.ours(arguments.out)
     out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    page = place_of_page(arguments)
     nominal = insitu.stated(recording.design)
     frames, lengths = insitu.readings(recording)
     by_vision = sample_recording(recording, progress=Progress())
@@ -65,6 +67,12 @@ def run(arguments: Namespace) -> int:
     if out is not None:
         limbs_file.save(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
+    if page is not None:
+        from calib.pages.limbs import limbs_page
+
+        why = None if accepted.withdrawn is None else accepted.withdrawn.reason
+        limbs_page(page, recording.name, found, by_vision.source, why, near(arguments, arguments.page))
+        print(f"written: {arguments.page}")
     if state is not None and passed:
         _learn(arguments, recording, limb_source.sampled(recording, limb_source.read(recording, accepted)), state)
     return 0 if passed else 1
@@ -97,6 +105,6 @@ def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state:
     from calib.online.filter import Online
 
     known = Online.load(arguments.state) if arguments.state.exists() else None
-    learner = online.learn(recording, lambda: by_limbs, known, None, Progress(), Namespace())
+    learner, _ = online.learn(recording, lambda: by_limbs, known, None, Progress(), Namespace())
     learner.save(state)
     print(f"written: {arguments.state}")

@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands.output import Progress, add_force, add_result
+from rig.commands.output import Progress, add_force, add_result, near
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def run(arguments: Namespace) -> None:
     arguments.result = _result(found)
     if out:
         write_text(out / "camera.toml", block)
-        lens_page(out / "lens.html", found)
+        lens_page(out / "lens.html", found, near(arguments, arguments.out / "lens.html"))
         print(f"written: {arguments.out}/camera.toml; look at {arguments.out}/lens.html", file=sys.stderr)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, from_limbs
-from rig.commands.output import Progress, add_force, add_recording, add_result, print_unsolved
+from rig.commands.output import Progress, add_force, add_recording, add_result, near, print_unsolved
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -75,7 +75,8 @@ def run(arguments: Namespace) -> None:
     writing.write_angles(out / "rpy.csv", poses)
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong))
+    measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong),
+                     near(arguments, arguments.out / "report.html"))
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
     arguments.result = _result(recording, measured, held, uncertainty(measured.covariance))
     print_unsolved(measured)

@@ -48,9 +48,21 @@ def run(arguments: Namespace) -> None:
         arguments.out.mkdir()
         place = arguments.outputs.file(out)
     write_text(place, text)
+    arguments.outputs.finish()
+    _index(arguments.out)
     print(f"written: {out}; {seen}")
     print(f"next: measure your own machine's joints, cameras and cubes and write them into it; then rig print {out} --out sheets.pdf")
     print(f"or try it without a machine: rig simulate {out} --plan sobol:40 --out REC")
+
+
+def _index(folder: Path) -> None:
+    """Write the page of all pages of a project that begins here, where no other index.html is."""
+    from rig.files import Outputs
+    from rig.page.index import KIND, NAME, index_page
+
+    if not (folder / NAME).exists():
+        with Outputs(KIND) as outputs:
+            index_page(outputs.file(folder / NAME), folder)
 
 
 def _with_struts(arguments: Namespace, kind: str) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands import following, from_limbs
-from rig.commands.output import Progress, add_recording, add_result, print_unsolved, read_recording
+from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from calib.online.change_detection import Change
     from calib.online.filter import Online, Update
+    from calib.pages.learnt import Learnt
     from calib.pipeline import Sampled
     from calib.samples import Samples
     from calib.store import Calibration
@@ -32,6 +33,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_recording(parser)
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
+    add_page(parser)
     following.arguments(parser)
     from_limbs.arguments(parser)
     add_result(parser)
@@ -46,25 +48,37 @@ def run(arguments: Namespace) -> None:
     if mechanism.kind != "hexapod":
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
+    page = place_of_page(arguments)
 
     from calib.online.filter import Online
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
     sampled = partial(from_limbs.sampled, arguments, recording, progress)
     if arguments.learner != following.WATCHING:
-        following.follow(arguments, recording, sampled, calibration, state, progress)
+        _show(page, arguments, recording, following.follow(arguments, recording, sampled, calibration, state, progress))
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    learner = learn(recording, sampled, known, calibration, progress, arguments)
+    learner, learnt = learn(recording, sampled, known, calibration, progress, arguments)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
+    _show(page, arguments, recording, learnt)
 
 
-def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None, progress: Progress,
-          arguments: Namespace) -> Online:
-    """The filter after a recording's poses that it has not learnt, which is said. sampled : makes the Sampled of it; arguments : take the result
+def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: Learnt) -> None:
+    """Write the page, where one is asked for."""
+    if page is None:
+        return
+    from calib.pages.learnt import learnt_page
+
+    learnt_page(page, recording.name, learnt, near(arguments, arguments.page))
+    print(f"written: {arguments.page}")
+
+
+def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
+          progress: Progress, arguments: Namespace) -> tuple[Online, Learnt]:
+    """The filter after a recording's poses that it has not learnt, and what they taught, which is said. sampled : makes the Sampled of it; arguments : take the result
     known : the filter to go on with, or None; calibration : where a new one starts from, or None
 
     Raises RigError where no pose is left to learn
@@ -99,7 +113,20 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
     moved = learner.p - parameters(mechanism)
     print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
-    return learner
+    return learner, _learnt(learner, updates, samples.frame, found.source, float(np.sqrt(np.mean(moved**2))))
+
+
+def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> Learnt:
+    """Learnt of updates by poses of frames (n,). moved : m RMS from rig.toml"""
+    import numpy as np
+
+    from calib.pages.learnt import Learnt
+
+    first = updates[0].number
+    told = [said(change, frames[max(change.onset - first, 0)]) for update in updates for change in update.changes]
+    dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
+    return Learnt(frames, np.array([update.innovation for update in updates]), source, told, dropped,
+                  float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved)
 
 
 def fresh_of(samples: Samples, fresh: list[int], recording: Recording) -> Samples:

@@ -14,11 +14,12 @@ from rig.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from calib.certify.certificate import HeldOut
+    from rig.page.document import Link
     from rig.recording import Recording
     from vision.measure import Measurement
 
-__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_port", "add_recording", "add_recordings", "add_result", "file_or_stdout",
-           "length", "numbers", "print_comparison", "print_json", "print_unsolved", "read_recording"]
+__all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_page", "add_port", "add_recording", "add_recordings", "add_result",
+           "file_or_stdout", "length", "near", "numbers", "place_of_page", "print_comparison", "print_json", "print_unsolved", "read_recording"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -62,6 +63,23 @@ def add_force(parser: ArgumentParser, name: str = "--force") -> None:
     """Let a command that writes be told to write over what it did not make. name : of that option, where --force is taken"""
     parser.add_argument(name, dest="overwrite", action="store_true",
                         help="write over what this command did not make; what it reads it never writes over")
+
+
+def add_page(parser: ArgumentParser) -> None:
+    """Let a command write a page of its result."""
+    parser.add_argument("--page", metavar="FILE", type=Path, help="a page of it, written here: one file that needs no network")
+
+
+def place_of_page(arguments: Namespace) -> Path | None:
+    """Where the page that `add_page` asks for is written, None where none is. Raises RigError where it cannot be."""
+    return None if arguments.page is None else arguments.outputs.file(arguments.page)
+
+
+def near(arguments: Namespace, place: Path) -> list[Link]:
+    """Links of a page that will be at a place: to the index above it and to the pages of what the command reads."""
+    from rig.page.index import links
+
+    return links(place, arguments.outputs.inputs)
 
 
 def add_json(parser: ArgumentParser) -> None:

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.scene import fixed_parts, ring
 from rig.commands.looking import Looking, Seen, View
 from rig.design import Camera, Design
 from rig.page.server import PageServer
@@ -14,7 +15,6 @@ from vision.snapshot import jpeg
 from vision.targets import MarkerMap, marker_map
 
 LATEST = 400  # frames whose figures are shown
-SIGHT = 0.12  # of a camera's distance: how long its lines are drawn
 
 
 class Page:
@@ -27,7 +27,7 @@ class Page:
         self._history: list[dict] = []
         self._shown: Seen | None = None
         self._markers = marker_map(self._design) if self._design.targets else None
-        self._fixed = _fixed_parts(self._design, self._markers)
+        self._fixed = fixed_parts(self._design, self._markers)
 
     def __enter__(self) -> "Page":
         return self
@@ -93,21 +93,6 @@ def _camera(seen: Seen, i: int, camera: Camera, ids: np.ndarray) -> dict:
             "arrows": np.round(np.hstack([o.uv[solved], sight.residuals[solved]]), 4).tolist()}
 
 
-def _fixed_parts(design: Design, markers: MarkerMap | None) -> list[dict]:
-    """What of the rig does not move, as lines: the base, its targets, the cameras' sights."""
-    parts = []
-    for camera in design.cameras:
-        reach = SIGHT * float(np.linalg.norm(camera.pose.translation))
-        half = np.array([camera.width / camera.matrix[0, 0], camera.height / camera.matrix[1, 1]]) / 2 * reach
-        corners = camera.pose.apply(np.array([[x * half[0], y * half[1], reach] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]))
-        eye = camera.pose.translation
-        parts.append({"kind": "camera", "name": camera.name, "points": [eye.tolist(), *corners.tolist(), corners[0].tolist()]})
-        parts += [{"kind": "camera", "points": [eye.tolist(), corner.tolist()]} for corner in corners[1:]]
-    if markers is not None:
-        parts += [{"kind": "face", "points": quad.tolist()} for quad in markers.corners[~markers.on_platform]]
-    return parts
-
-
 def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidTransform | None) -> dict:
     """The rig as lines at a pose of the platform, at home before one is known."""
     m, parts = design.mechanism, list(fixed)
@@ -117,7 +102,7 @@ def _rig(design: Design, fixed: list[dict], markers: MarkerMap | None, T: RigidT
         top = T.apply(m.platform_joints)
         parts += [{"kind": "strut", "name": str(k), "points": [low.tolist(), high.tolist()]}
                   for k, (low, high) in enumerate(zip(m.base_joints, top), 1)]
-        parts += [{"kind": "plate", "points": [*ring.tolist(), ring[0].tolist()]} for ring in (m.base_joints, top)]
+        parts += [{"kind": "plate", "points": around} for around in (ring(m.base_joints), ring(top))]
         middle = (m.home.translation / 2).tolist()
     if markers is not None and T is not None:
         corners = transform_points(T, markers.corners[markers.on_platform].reshape(-1, 3))

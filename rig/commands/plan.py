@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.commands.output import SEED, Progress, add_force, file_or_stdout, length
+from rig.commands.output import SEED, Progress, add_force, add_page, file_or_stdout, length, near, place_of_page
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rig.design import Arm, Chain, Design, Free, Hexapod, Planar2
 
 SHOWN = 8  # combinations that are listed
+LEAST = 3.0  # standard deviations by which effects must differ to be told apart
 MOVES = ("sobol:40", "ladder:12", "moving:40", "zigzag:40", "payload:16", "axes:5", "repeat:40")  # parts of plans that may tell effects apart
 
 
@@ -39,19 +40,41 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml, and "
                         "leave out configurations whose poses the corrected machine does not reach")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
+    add_page(parser)
     add_force(parser)
+
+
+class Made(NamedTuple):
+    """A plan that is written. design; values : (n, axes) m or rad; state : good, check or bad; why : in a line; said : in lines"""
+
+    design: Design
+    values: np.ndarray
+    state: str
+    why: str
+    said: list[str]
 
 
 def run(arguments: Namespace) -> None:
     """Choose configurations, write them, and say what they make visible."""
-    (_promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose])(arguments)
+    page = place_of_page(arguments)
+    asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
+    made = asked(arguments)
+    print("\n".join(filter(None, made.said)))
+    if page is not None:
+        from calib.pages.planned import Planned, planned_page
+        from rig.page.document import State, Verdict
+
+        told = Planned(made.design, made.values, Verdict(State(made.state), made.why), made.said)
+        planned_page(page, str(arguments.out), told, near(arguments, arguments.page))
+    print(f"written: {arguments.out}" + (f"; look at {arguments.page}" if page else ""))
 
 
-def _promise(arguments: Namespace) -> None:
+def _promise(arguments: Namespace) -> Made:
     """Write the fewest configurations that keep a promise."""
     from rig import design_file, writing
 
-    mechanism = design_file.load(arguments.design).mechanism
+    design = design_file.load(arguments.design)
+    mechanism = design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"plans for a promise are for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     out = arguments.outputs.file(arguments.out)
@@ -66,15 +89,15 @@ def _promise(arguments: Namespace) -> None:
     writing.write_configurations(out, mechanism.axes, found.commands)
     count, visited = len(found.commands), 0 if given is None else len(given)
     if not count:
-        print(f"the promise is met by the {visited} configurations given: {found.left[0] * 1e6:.3g} um left")
+        said = [f"the promise is met by the {visited} configurations given: {found.left[0] * 1e6:.3g} um left"]
     else:
-        print(f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
-              f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top")
-        print("left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um")
-    print(f"written: {arguments.out}")
+        said = [f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
+                f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top",
+                "left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um"]
+    return Made(design, found.commands, "good", said[0], said)
 
 
-def _parts(arguments: Namespace) -> None:
+def _parts(arguments: Namespace) -> Made:
     """Write the configurations of a plan's parts, in order, and say how far they go."""
     import numpy as np
 
@@ -88,16 +111,16 @@ def _parts(arguments: Namespace) -> None:
     design = design_file.load(arguments.design)
     mechanism, goals = design.mechanism, [step.goal for step in steps(build(design, arguments.parts, SEED)) for _ in range(step.frames)]
     writing.write_configurations(arguments.outputs.file(arguments.out), mechanism.axes, goals)
-    print(f"{len(goals)} configurations of {arguments.parts}")
+    said = [f"{len(goals)} configurations of {arguments.parts}"]
     if mechanism.kind == "hexapod":
         moved = difference(mechanism.home, mechanisms.of(mechanism).forward(np.array(goals), mechanism)) * 1e3
         low, high = moved.min(axis=0), moved.max(axis=0)
-        print("from home, in the platform's axes: " + ", ".join(f"{name} {a:+.1f} .. {b:+.1f} {unit}" for name, unit, a, b in zip(
+        said.append("from home, in the platform's axes: " + ", ".join(f"{name} {a:+.1f} .. {b:+.1f} {unit}" for name, unit, a, b in zip(
             ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("mrad",) * 3, low, high)))
-    print(f"written: {arguments.out}")
+    return Made(design, np.array(goals), "good", said[0], said)
 
 
-def _separate(arguments: Namespace) -> None:
+def _separate(arguments: Namespace) -> Made:
     """Try the parts of plans alone and two by two, and write the one by which the effects differ most."""
     from itertools import combinations
 
@@ -130,18 +153,20 @@ def _separate(arguments: Namespace) -> None:
         sensors, _ = temperatures(plan.commands.t[-1], np.random.default_rng(SEED))
         trials.append((separation(text, design, plan.commands, plan.t, logged(plan, sensors), effects, arguments.sigma), plan))
     trials.sort(key=lambda trial: -trial[0].misfit / np.sqrt(trial[0].frames))
-    print("misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):")
-    for found, _ in trials[:SHOWN]:
-        print(f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine {found.cosine:6.3f}   {found.plan}")
+    said = ["misfit, in standard deviations, of the wrong model at its best (and for 100 exposures):"]
+    said += [f"  {found.misfit:9.1f} {found.misfit * 10 / np.sqrt(found.frames):9.1f}   cosine {found.cosine:6.3f}   {found.plan}"
+             for found, _ in trials[:SHOWN]]
     best, plan = trials[0]
-    if best.misfit < 3:
-        print("no plan tried tells them apart at that size")
+    if best.misfit < LEAST:
+        said.append("no plan tried tells them apart at that size")
     writing.write_table(out, ("t", *design.mechanism.axes), [f"{t:.4f}," + ",".join(f"{v:.7f}" for v in values)
                                                              for t, values in zip(plan.commands.t, plan.commands.values)])
-    print(f"best: {best.plan} (rig simulate --plan {best.plan} tries it); written: {arguments.out}")
+    said.append(f"best: {best.plan} (rig simulate --plan {best.plan} tries it)")
+    why = f"{' and '.join(arguments.separate)} are told apart by {best.misfit:.1f} standard deviations with {best.plan}"
+    return Made(design, plan.commands.values, "good" if best.misfit >= LEAST else "check", why, said)
 
 
-def _parameters(arguments: Namespace) -> None:
+def _parameters(arguments: Namespace) -> Made:
     from rig import design_file, writing
     from rig.design import Free, Hexapod
 
@@ -166,24 +191,24 @@ def _parameters(arguments: Namespace) -> None:
     writing.write_configurations(out, mechanism.axes, chosen.commands)
     (before, _), (after, seen), (_, even) = (combinations(root, mechanism) for root in (chosen.before, chosen.root, chosen.even))
     visited = 0 if given is None else len(given)
-    print(f"{arguments.count} configurations beside {visited} given: condition number of the 42 parameters {seen.condition:.0f}, "
-          f"with as many evenly spread {even.condition:.0f}")
-    print(f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread {PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
-          f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise as evenly spread")
+    said = [f"{arguments.count} configurations beside {visited} given: condition number of the 42 parameters {seen.condition:.0f}, "
+            f"with as many evenly spread {even.condition:.0f}",
+            f"worst determined combination {after[0].sigma * 1e6:.2f} um, evenly spread {PLAUSIBLE / even.singular[-1] * 1e6:.2f} um; "
+            f"all 42 together {(seen.singular.prod() / even.singular.prod()) ** (1 / 42):.2f} times as precise as evenly spread"]
     hidden = [part for part in before if not part.determined]
     if visited and not hidden:
-        print("what was given determines all 42 already; the worst, before and after:")
+        said.append("what was given determines all 42 already; the worst, before and after:")
     elif visited:
-        print(f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm become visible; the worst:")
+        said.append(f"{len(hidden)} combinations that what was given does not tell from {PLAUSIBLE * 1e3:g} mm become visible; the worst:")
     else:
-        print("the worst determined combinations:")
-    for part in (before if visited else after)[:SHOWN]:
-        print(f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
-              f"  {_sigma(part.sigma)}  {part.name}")
-    print(f"written: {arguments.out}")
+        said.append("the worst determined combinations:")
+    said += [f"  {_sigma(part.sigma)} -> {_sigma(_along(chosen.root, part.direction))}  {part.name}" if visited else
+             f"  {_sigma(part.sigma)}  {part.name}" for part in (before if visited else after)[:SHOWN]]
+    unseen = sum(not part.determined for part in after)
+    return Made(design, chosen.commands, "check" if unseen else "good", said[0] + (f"; {unseen} combinations stay unseen" if unseen else ""), said)
 
 
-def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Planar2, out: Any) -> None:
+def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Planar2, out: Any) -> Made:
     """Write the configurations that tell most of a machine's parameters, of those in which cameras see it."""
     from functools import partial
 
@@ -199,15 +224,16 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
     found = choose(mechanism, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()
     writing.write_configurations(out, mechanism.axes, found.values)
+    said = []
     if looked is not None:
-        print(f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
+        said.append(f"{FEWEST} markers or more are seen in {found.seen:.0%} of the configurations all over the limits; chosen among these")
     if found.untold:
-        print(f"{found.untold} combinations of them no pose tells: they stay as stated, and are left aside here")
-    print(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least gain first:")
+        said.append(f"{found.untold} combinations of them no pose tells: they stay as stated, and are left aside here")
+    said.append(f"{arguments.count} configurations for {len(found.names)} parameters; standard errors, and by as many spread evenly, the least "
+                "gain first:")
     worst = (found.sigma / found.even).argsort()[::-1]
-    for k in worst[:SHOWN]:
-        print(f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}")
-    print(f"written: {arguments.out}")
+    said += [f"  {found.sigma[k] * 1e6:9.2f} {found.even[k] * 1e6:9.2f} u{found.units[k]}  {found.names[k]}" for k in worst[:SHOWN]]
+    return Made(design, found.values, "good", f"{arguments.count} configurations for {len(found.names)} parameters", ["", *said])
 
 
 def _calibrated(arguments: Namespace, mechanism: Hexapod) -> tuple[Hexapod, Avoided | None]:

@@ -8,10 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import own_effects
-from rig.commands.output import SEED, Progress, add_json, add_recording, print_comparison, print_json, print_unsolved, read_recording
+from rig.commands.output import (
+    SEED,
+    Progress,
+    add_json,
+    add_page,
+    add_recording,
+    near,
+    place_of_page,
+    print_comparison,
+    print_json,
+    print_unsolved,
+    read_recording,
+)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from calib.certify.held_out import Figures, HeldOut
     from calib.certify.claim import Claim
     from calib.pipeline import Sampled
@@ -20,12 +34,15 @@ if TYPE_CHECKING:
     from rig.observed import Poses
     from rig.recording import Recording
 
+    Driven = tuple[Figures, tuple[float, float], np.ndarray]
+
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording(parser)
     add_json(parser)
+    add_page(parser)
     own_effects.argument(parser)
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
@@ -40,32 +57,48 @@ def run(arguments: Namespace) -> None:
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
     recording = read_recording(arguments)
+    page = place_of_page(arguments)
 
     import numpy as np
 
     from calib.certify.held_out import compare, errors_of
     from calib.certify.configurations import labels, ranges
-    from calib.certify.verdict import verified
     from calib.pipeline import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
     samples = calibration.told(recording, sampled.samples)
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
-    held = compare(*errors_of(calibration.correction, samples), samples.total_covariance(), np.random.default_rng(SEED), label)
+    before, after = errors_of(calibration.correction, samples)
+    held = compare(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
     progress.close()
     same = store.seen_before(calibration, recording)
     driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
+    if page is not None:
+        from calib.pages.verified import Verified, verified_page
+
+        unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
+        told = Verified(recording.design, samples, before, after, held, calibration.claim, same, driven, unsolved)
+        verified_page(page, recording.name, told, near(arguments, arguments.page))
     if arguments.json:
         print_json(_verification(held, same, sampled, driven, calibration.claim))
         return
     if same:
         print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
               "figures are not held out", file=sys.stderr)
+    _say(held, same, driven, calibration.claim, sampled)
+    if page is not None:
+        print(f"written: {arguments.page}")
+
+
+def _say(held: HeldOut, same: list[int], driven: Driven | None, claim: Claim | None, sampled: Sampled) -> None:
+    """Print what was found."""
+    from calib.certify.verdict import verified
+
     if driven is None:
-        print("no verdict: these poses were fitted" if same else verified(held, calibration.claim))
-        print_comparison(held, f"{samples.frame.size} poses from {sampled.source}")
+        print("no verdict: these poses were fitted" if same else verified(held, claim))
+        print_comparison(held, f"{len(sampled.samples)} poses from {sampled.source}")
     else:
-        figures, stated = driven
+        figures, stated, _ = driven
         turned = ("", "", "")
         if stated[1]:  # the machine turns at all
             turned = (f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max", f" and {stated[1] * 1e3:.4f} mrad",
@@ -77,8 +110,8 @@ def run(arguments: Namespace) -> None:
     print_unsolved(sampled.measurement)
 
 
-def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> tuple[Figures, tuple[float, float]]:
-    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference)."""
+def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
+    """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the differences (n, 6))."""
     from calib.certify.held_out import figures
     from calib.pose_covariance import pose_covariance
     from calib.samples import uncertainty
@@ -92,10 +125,11 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
         of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model
-    return figures(difference(T, samples.T_base_platform)), uncertainty(stated)
+    errors = difference(T, samples.T_base_platform)
+    return figures(errors), uncertainty(stated), errors
 
 
-def _verification(held: HeldOut, same: list[int], sampled: Sampled, driven: tuple[Figures, tuple[float, float]] | None, claim: Claim | None) -> dict:
+def _verification(held: HeldOut, same: list[int], sampled: Sampled, driven: Driven | None, claim: Claim | None) -> dict:
     from calib.certify.verdict import kept
 
     def side(figures: Figures) -> dict:

@@ -1,31 +1,51 @@
-"""rig view REC --frame N, or rig view REC --rerun FILE.rrd."""
+"""rig view REC --frame N | REC --page FILE [--effect EFFECT] | REC --rerun FILE.rrd."""
+
+from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, read_recording
+from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, near, read_recording
 from rig.errors import RigError
+
+if TYPE_CHECKING:
+    from rig.recording import Recording
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
-    shown.add_argument("--frame", type=int, help="this frame, with markers, axes and residuals drawn in")
+    shown.add_argument("--frame", type=int, help="draw what was read in this frame")
+    shown.add_argument("--page", metavar="FILE", type=Path, help="a page with the rig in three dimensions, its poses played; needs no network")
     shown.add_argument("--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)")
-    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="a picture, written here; without it one named after the recording "
-                        "is written in the folder where you are, and shown")
+    parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="for --frame, a picture, written here; without it one named after the "
+                        "recording is written in the folder where you are, and shown")
     add_force(parser)
-    parser.add_argument("--enlarge", type=float, default=200.0, help="how much longer than they are residuals are drawn (default 200)")
+    parser.add_argument("--enlarge", type=float, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)")
+    parser.add_argument("--effect", metavar="EFFECT", action="append", default=[], help="for --page, what this effect would do to the poses, at "
+                        "several sizes; as for rig simulate; may be given again")
 
 
 def run(arguments: Namespace) -> None:
-    """Draw one frame."""
-    import webbrowser
-
+    """Draw one frame, or the whole recording in three dimensions."""
+    if arguments.page is not None:
+        if arguments.out is not None:
+            raise RigError("--out is for --frame; --page names its own file")
+        _page(arguments)
+        return
+    if arguments.effect:
+        raise RigError("--effect is for --page")
     if arguments.rerun is not None:
         _rerun(arguments)
         return
+    _frame(arguments)
+
+
+def _frame(arguments: Namespace) -> None:
+    import webbrowser
+
     recording = read_recording(arguments)
 
     from vision.drawing import check_format, frame_picture, save
@@ -40,6 +60,25 @@ def run(arguments: Namespace) -> None:
     print(f"written: {shown}")
     if arguments.out is None and not webbrowser.open(shown.resolve().as_uri()):
         print("there is no program here to show it; open the file yourself")
+
+
+def _page(arguments: Namespace) -> None:
+    from rig.effects.parse import parse
+
+    recording, effects = _moving(read_recording(arguments)), [parse(text) for text in arguments.effect]
+    out = arguments.outputs.file(arguments.page)
+
+    from calib.pages.viewed import viewed_page
+
+    viewed_page(out, recording, effects, near(arguments, arguments.page))
+    print(f"written: {arguments.page}")
+
+
+def _moving(recording: Recording) -> Recording:
+    """The recording. Raises RigError for one that has neither poses nor commands to show."""
+    if recording.poses is None and recording.commands is None:
+        raise RigError(f"{recording.folder} has neither poses.csv nor commands.csv, so there is no pose to show; `rig measure` finds poses")
+    return recording
 
 
 def _rerun(arguments: Namespace) -> None:

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, add_json, print_json
+from rig.commands.output import SEED, Progress, add_force, add_json, add_page, near, place_of_page, print_json
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
     parser.add_argument("--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does")
     parser.add_argument("--count", type=int, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
+    add_page(parser)
     parser.add_argument("--out", metavar="FILE", type=Path, help="for --plan: frame,l1..l6; `rig run RIG.toml --plan commands:FILE` visits them")
     add_force(parser)
 
@@ -34,8 +35,8 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> int:
     """Choose a visit's poses, or hold visits against a calibration and say what changed; 3 where something has."""
     if arguments.plan:
-        if arguments.visits or arguments.history or arguments.out is None:
-            raise RigError("--plan takes --out FILE, and neither visits nor a --history")
+        if arguments.visits or arguments.history or arguments.page or arguments.out is None:
+            raise RigError("--plan takes --out FILE, and neither visits nor a --history nor a --page")
         _plan(arguments)
         return 0
     if arguments.out is not None or arguments.rig is not None:
@@ -49,15 +50,18 @@ def _watch(arguments: Namespace) -> int:
     from calib import store
     from calib.drift import history_file, words
     from calib.drift.history import History, take
+    from calib.pages.watched import Visit, watched_page
     from rig import recording as recordings
 
     progress = Progress()
     calibration, own = store.load(arguments.calibration), history_file.digest(arguments.calibration)
     kept = None if arguments.history is None else arguments.outputs.file(arguments.history, own=True)
+    page = place_of_page(arguments)
     known = arguments.history is not None and arguments.history.exists()
     history = history_file.load(arguments.history, own) if known else History(own)
     loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
-    told, changed = [], False
+    told: list[dict] = []
+    seen, changed = [], False
     for k, recording in enumerate(loaded):
         progress("visits", k, len(loaded))
         scale = history.scale()
@@ -66,10 +70,14 @@ def _watch(arguments: Namespace) -> int:
         assert history.reference is not None
         changed = verdict.alarm
         told.append(_tree(verdict, history, scale))
+        lines = words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)
+        seen.append(Visit(history.visits[-1].name, verdict, lines, scale))
         if not arguments.json:
-            print("\n".join(words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)))
+            print("\n".join(lines))
     if kept is not None:
         history_file.save(kept, history)
+    if page is not None:
+        watched_page(page, arguments.calibration.name, seen, near(arguments, arguments.page))
     if arguments.json:
         print_json({"schema": "verdict/1", "visits": told})
     elif kept is not None:

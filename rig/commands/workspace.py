@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import add_force, add_result
+from rig.commands.output import add_force, add_result, near
 from rig.errors import FileError, RigError
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     folder = arguments.outputs.folder(arguments.out)
     write_text(folder / "workspace.json", json.dumps({**workspace_out(w), "room_of": room_of}, allow_nan=False) + "\n")
     write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
-    workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified)
+    workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified,
+                   near(arguments, arguments.out / "workspace.html"))
     print(f"written: {arguments.out}; look at {arguments.out / 'workspace.html'}")
 
 

@@ -21,6 +21,7 @@ class Outputs:
     def __init__(self, command: str, arguments: Iterable[str] = (), inputs: Iterable[Path] = (), force: bool = False) -> None:
         self.command, self.arguments, self.inputs, self.force = command, tuple(arguments), list(inputs), force
         self.data: tuple[str, ...] = ()
+        self.pages: list[Path] = []  # that are in their places by now
         self._staged: dict[Path, Staged] = {}
         self._growing: list[tuple[Path, int]] = []
 
@@ -52,7 +53,9 @@ class Outputs:
     def finish(self) -> None:
         """Put everything staged so far in its place now, not at the command's end; what is written after that needs a place anew."""
         for place, staged in tuple(self._staged.items()):
+            pages = [place / path.relative_to(staged.folder) for path in staged.folder.rglob("*.html")]
             staged.commit(self._origin(True), self.inputs, self.force)
+            self.pages += pages
             del self._staged[place]
             staged.discard()
 

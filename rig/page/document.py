@@ -70,7 +70,7 @@ def text(page: Page) -> str:
             + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
             + "</header>\n<main>\n" + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
             + "\n".join(page.parts)
-            + "\n</main>\n" + "".join(f"<script>{code}</script>\n" for code in (script, *page.scripts)) + "</body></html>\n")
+            + "\n</main>\n" + "".join(f'<script type="module">{code}</script>\n' for code in (script, *page.scripts)) + "</body></html>\n")
 
 
 def asset(name: str) -> str:

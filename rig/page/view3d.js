@@ -16,6 +16,14 @@ export class Rig {
       held = [event.clientX, event.clientY];
       this.draw();
     });
+    canvas.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
+      if (step) [this.turn, this.tilt] = [this.turn + step[0], Math.max(-1.5, Math.min(1.5, this.tilt + step[1]))];
+      if (event.key === "+" || event.key === "-") this.zoom = Math.max(0.3, Math.min(6, this.zoom * (event.key === "+" ? 1.15 : 0.87)));
+      if (!step && event.key !== "+" && event.key !== "-") return;
+      event.preventDefault();
+      this.draw();
+    });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.zoom = Math.max(0.3, Math.min(6, this.zoom * Math.exp(-event.deltaY * 0.001)));
@@ -67,9 +75,9 @@ export class Rig {
       ink.fill();
       ink.globalAlpha = 1;
     }
-    ink.lineWidth = part.kind === "strut" ? 4 : 1.2;
+    ink.lineWidth = { strut: 4, error0: 2.5, error1: 2.5, moved: 2.5 }[part.kind] ?? 1.2;
     ink.lineCap = "round";
-    ink.strokeStyle = style.getPropertyValue({ strut: "--ink", face: "--accent", camera: "--line", seen: "--good" }[part.kind] ?? "--soft");
+    ink.strokeStyle = style.getPropertyValue({ strut: "--ink", face: "--accent", camera: "--line", error0: "--c1", error1: "--c2", moved: "--c3" }[part.kind] ?? "--soft");
     ink.stroke();
     if (part.name) {
       ink.fillStyle = style.getPropertyValue("--soft");

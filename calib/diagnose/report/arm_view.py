@@ -11,10 +11,14 @@ from calib.diagnose.report.arm import SAME_ANGLE, figures
 from calib.diagnose.report.arm_picture import picture
 from calib.diagnose.report.drawing import scatter
 from calib.diagnose.report.schema import FindingEntry
+from calib.played import FACTORS
+from calib.scene import stage_alone
 from rig import mechanisms
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, note, paragraph, table
+from rig.page.stage import Effect, view
 
+PLAYED = 4  # findings that are shown in three dimensions
 ROWS = ("geometry alone", "with effects", "of these, every joint near angles it was fitted at", "of these, a joint at angles never fitted")
 
 
@@ -55,6 +59,19 @@ class ArmView:
         x = covariate.values if covariate.values.ndim == 1 else covariate.values[:, joint]
         both = [v[fit.used] * 1e6 for v in (rest + moved, rest)]
         return scatter(x[fit.used], covariate.label, both, f"{term.candidate.place}, µ{mechanisms.units(d.arm)[joint]}")
+
+    def in_space(self) -> list[str]:
+        """The arm's poses, with what each finding at a joint does, linear in its size."""
+        d, effects = self.diagnosis, list[Effect]()
+        J = np.zeros((len(d.arms), 6, d.arms.q.shape[1]))
+        J[:, : d.arms.joints.shape[1]] = d.arms.joints  # of positions alone, no rotation is known
+        for finding in d.findings[:PLAYED]:
+            candidate = d.fit.terms[finding.number].candidate
+            if candidate.joint is not None:
+                once = J[:, :, candidate.joint] * d.fit.part(finding.number)[:, None]
+                sizes = tuple(f"{factor:g} times as found" for factor in FACTORS)
+                effects.append(Effect(f"{candidate.name.replace('_', ' ')} at {candidate.place}", sizes, np.multiply.outer(FACTORS, once)))
+        return view(stage_alone(d.arm, d.arms.frame, d.arms.q, tuple(effects)))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Held-out errors, before and after, pose by pose and in a table."""

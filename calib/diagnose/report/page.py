@@ -8,6 +8,7 @@ from calib.diagnose.report import words
 from calib.diagnose.report.schema import FindingEntry, Report
 from rig.page.document import Link, Page, State, Verdict, write
 from rig.page.parts import folded, heading, note, paragraph, table
+from rig.page.stage import scripts
 
 DOTS = ("Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without it: the best that calibration can do "
         "alone, which swallows part of it.")
@@ -25,6 +26,9 @@ class View(Protocol):
 
     def plot(self, finding: FindingEntry) -> str | None:
         """What a finding looks like, without it and with it; None where there is nothing to draw."""
+
+    def in_space(self) -> list[str]:
+        """The machine in three dimensions, with what its findings do; nothing where it cannot be drawn."""
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """What is left of each part of the machine, and pictures of what is unknown."""
@@ -48,6 +52,8 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
                   paragraph("These are there beyond chance; without them, what was held out would be predicted as well.")]
     for finding in slight:
         parts += [heading(f"{words.title(finding)}{words.size(finding)}{words.beforehand(finding)}", 3), *_slight(finding)]
+    shown = view.in_space()
+    parts += [heading("In three dimensions"), *shown] if shown else []
     parts += [heading("What remains"), *_remaining(report, view)]
     parts += _suggestions(report)
     if report.covariates:
@@ -60,7 +66,7 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
                   paragraph("Beyond chance, and no more than parts and instruments may do on their own: nothing to be done about it."),
                   table(("what", "size", "why it is no finding"), [words.remark_row(r) for r in report.remarks])]
     parts += [heading("What was asked"), *_asked(report, view), heading("The measurement"), table(("what", "value"), _measurement(report, view))]
-    write(path, Page("diagnose", f"Diagnosis of {report.recording}", judged(report), parts, to_do(report), links))
+    write(path, Page("diagnose", f"Diagnosis of {report.recording}", judged(report), parts, to_do(report), links, scripts(parts)))
 
 
 def judged(report: Report) -> Verdict:

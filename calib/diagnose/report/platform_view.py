@@ -11,11 +11,16 @@ from calib.diagnose.report.drawing import over_time
 from calib.diagnose.report.plots import diagnostic_plot, model_residuals, residual_map, residuals
 from calib.diagnose.report.schema import FindingEntry
 from calib.diagnose.report.schematic import schematic
+from calib.played import played
+from calib.scene import stage
+from rig.geometry import Free
 from rig.page.figure import bars, panels
+from rig.page.stage import Effect, view
 from rig.recording import Recording
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
 PICTURED = 3  # of what is unknown
+PLAYED = 4  # findings that are shown in three dimensions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +46,15 @@ class PlatformView:
             return None
         number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e.values(), e.name, e.place))
         return diagnostic_plot(d.selection.fit.refined, number)
+
+    def in_space(self) -> list[str]:
+        """The rig's poses, with what each finding that moves the platform does at sizes of it."""
+        k = self.diagnosis.selection.fit.refined.point
+        effects, values = tuple[Effect, ...](), None
+        if k.commands is not None and not isinstance(k.design.mechanism, Free):
+            tried = [played(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
+            effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
+        return view(stage(k.design, k.frames, k.T, values, effects=effects))
 
     def remaining(self, unknown: list[FindingEntry]) -> list[str]:
         """Figure of the levels, then of what is unknown."""

@@ -1,0 +1,44 @@
+"""The page of a plan: where it goes, and what it will make visible."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.pose_figures import coverage
+from calib.scene import stage
+from rig import mechanisms
+from rig.design import Design
+from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.figure import Series, panel, panels
+from rig.page.parts import heading, listed
+from rig.page.stage import scripts, view
+from rig.pose import vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planned:
+    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells; figures : of its own, HTML"""
+
+    design: Design
+    values: np.ndarray
+    verdict: Verdict
+    said: Sequence[str]
+    figures: Sequence[str] = ()
+
+
+def planned_page(path: Path | str, file: str, p: Planned, links: Sequence[Link] = ()) -> None:
+    """Write the page of a plan that is in a file. Raises as forward kinematics does"""
+    mechanism, n = p.design.mechanism, np.arange(len(p.values))
+    T = mechanisms.of(mechanism).forward(p.values, mechanism)
+    units = mechanisms.units(mechanism)
+    scales = [(1e3, "mm") if unit == "m" else (180 / np.pi, "degrees") for unit in units]
+    axes = panels(*(panel(name, ("configuration", unit), [Series(n, p.values[:, i] * scale)])
+                    for i, (name, (scale, unit)) in enumerate(zip(mechanisms.places(mechanism), scales))))
+    said = [listed(p.said[1:])] if p.said[1:] else []
+    parts = [*said, *p.figures, heading("In three dimensions"), *view(stage(p.design, n, T, p.values)), heading("Where it goes"),
+             coverage(vector(T)), heading("Axis by axis"), axes]
+    steps = [f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
+             f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`"]
+    write(path, Page("plan", f"Plan {file}", p.verdict, parts, steps if p.verdict.state != State.BAD else [], links, scripts(parts)))

@@ -1,0 +1,67 @@
+"""The page of a recording in three dimensions: its poses as measured, or as commanded, and what effects would do to them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.played import played
+from calib.pose_figures import coverage
+from calib.scene import stage
+from rig import mechanisms
+from rig.effects.base import Effect
+from rig.errors import RigError
+from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.parts import heading, listed
+from rig.page.stage import scripts, view
+from rig.pose import difference, vector
+from rig.recording import Recording
+
+
+def viewed_page(path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()) -> None:
+    """Write the page of a recording that has poses, commands or both. effects : to be tried on it, each by itself
+
+    Raises RigError for effects on a recording without commands, and as their models do
+    """
+    design, values, errors = recording.design, None, {}
+    frames = recording.commanded()[0] if recording.commands is not None else np.zeros(0, int)
+    if recording.commands is not None:
+        frames, t, values = recording.commanded()
+        T = mechanisms.of(design.mechanism).forward(values, design.mechanism)
+    elif effects:
+        raise RigError(f"{recording.folder} has no commands.csv, and effects act on what is commanded")
+    tried = [played(design, recording.commands, t, (effect,), 0, recording.sensors) for effect in effects] if recording.commands else []
+    if recording.poses is not None:
+        known = np.isin(recording.poses.frame, frames)
+        if recording.commands is not None and known.any():
+            at = np.searchsorted(frames, recording.poses.frame[known])
+            by_model = T[at]
+            tried = [one and type(one)(one.name, one.sizes, one.shifts[:, at]) for one in tried]
+            frames, values, T = frames[at], values[at] if values is not None else None, recording.poses.T_base_platform[np.flatnonzero(known)]
+            errors = {"the model in rig.toml, from what was measured": difference(T, by_model)}
+        else:
+            frames, T = recording.poses.frame, recording.poses.T_base_platform
+    still = [f"{effect.label()} at {effect.place} moves no platform: it acts on what cameras see"
+             for effect, one in zip(effects, tried) if one is None]
+    shown = stage(design, frames, T, values, errors, tuple(one for one in tried if one is not None))
+    parts = [*view(shown), *([listed(still)] if still else []), heading("Where it went"), coverage(vector(T))]
+    title = f"{recording.name} in three dimensions"
+    write(path, Page("view", title, judged(recording, frames, errors), parts, to_do(recording), links, scripts(parts)))
+
+
+def judged(recording: Recording, frames: np.ndarray, errors: dict[str, np.ndarray]) -> Verdict:
+    """The verdict on what is shown. frames : (n,) numbers; errors : of its poses, tangents (n, 6) m and rad"""
+    if recording.poses is None:
+        return Verdict(State.CHECK, f"{len(frames)} poses as rig.toml and the commands have them; nothing was measured")
+    if not errors:
+        return Verdict(State.GOOD, f"{len(frames)} poses as measured; nothing was commanded to hold them against")
+    far = np.linalg.norm(next(iter(errors.values()))[:, :3], axis=1)
+    rms = float(np.sqrt(np.mean(far[np.isfinite(far)] ** 2))) if np.isfinite(far).any() else np.nan
+    return Verdict(State.GOOD, f"{len(frames)} poses as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS")
+
+
+def to_do(recording: Recording) -> list[str]:
+    """What an owner does next."""
+    if recording.poses is None:
+        return ["Measure the poses: `rig measure REC --out measured`"]
+    return ["Calibrate: `rig calibrate REC --out calibration.json`", "Ask what physics is left out: `rig diagnose REC --out found`"]

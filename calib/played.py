@@ -1,0 +1,69 @@
+"""What one effect does to a machine's poses, asked of the effect's own model at several of its sizes, all else as it is."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rig import machine
+from rig.design import Design
+from rig.effects.base import MOTION_STAGES, Effect
+from rig.effects.parameter import Parameter
+from rig.errors import RigError
+from rig.page import stage
+from rig.pose import difference
+from rig.recording import Commands, Sensors
+
+FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
+NONE = 1e-9  # m and rad; less than this moves no platform
+SHOWN = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "s": (1e3, "ms"), "N/m": (1e-6, "N/µm"), "1/K": (1e6, "10⁻⁶/K")}
+
+
+def played(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], which: int,
+           sensors: Sensors | None = None) -> stage.Effect | None:
+    """What number `which` of some effects does at exposures at t (n,) s, the others acting with it; None for one that moves no platform, and at
+    sizes at which the machine cannot follow no more than at the others is shown. Raises as `machine.run`"""
+    effect = effects[which]
+    if effect.stage not in MOTION_STAGES:
+        return None
+    others = [e for k, e in enumerate(effects) if k != which and e.stage in MOTION_STAGES]
+    at_rest = machine.run(design, commands, t, others, sensors).T_base_platform
+    sizes, shifts = ["none"], [np.zeros((len(t), 6))]
+    for factor in FACTORS[1:]:
+        one = scaled(effect, factor)
+        try:
+            done = machine.run(design, commands, t, [*others, one], sensors)
+        except RigError:
+            if factor <= 1:
+                raise
+            break
+        sizes.append(said(one))
+        shifts.append(difference(at_rest, done.T_base_platform))
+    shown = np.stack(shifts)
+    if np.abs(shown).max() < NONE:
+        return None
+    return stage.Effect(f"{effect.label()} at {effect.place}", tuple(sizes), shown)
+
+
+def scaled(effect: Effect, factor: float) -> Effect:
+    """The same effect so many times as large: what it is linear in times that, what it is inverse in by that, all else as it is."""
+    values = {p.name: _times(getattr(effect, p.name), factor if p.role != "inverse" else 1 / factor)
+              for p in effect.parameters if p.role in ("linear", "size", "inverse")}
+    return replace(effect, **values)
+
+
+def said(effect: Effect) -> str:
+    """Its first parameter that tells its size, in words."""
+    sized = [p for p in effect.parameters if p.role in ("linear", "size", "inverse")]
+    return "" if not sized else f"{sized[0].name.replace('_', ' ')} {_number(sized[0].at(effect.place), getattr(effect, sized[0].name))}"
+
+
+def _times(value: Any, factor: float) -> Any:
+    return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
+
+
+def _number(parameter: Parameter, value: Any) -> str:
+    scale, unit = SHOWN.get(parameter.unit, (1.0, parameter.unit))
+    numbers = value if isinstance(value, tuple) else (value,)
+    return f"{' '.join(f'{v * scale:.3g}' for v in numbers[:3])}{' ..' if len(numbers) > 3 else ''} {unit}".strip()
