@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs, own_effects
 from rig.commands.output import SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, near, print_comparison, print_unsolved
-from rig.commands.worth import tell
+from rig.commands.worth import say_physics, tell
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str]
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
     print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
-    _print_physics(calibration.physics)
+    say_physics(calibration.physics)
     _print_poses(sampled, done)
     return calibration
 
@@ -184,19 +184,6 @@ def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Na
         "the owner's model alone" if arguments.alone else "the fitted geometry"))
     _print_poses(sampled, done)
     return calibration
-
-
-def _print_physics(physics: Physics | None) -> None:
-    if physics is None:
-        return
-    again, known = physics.undone(), [f"{e.label()} at {e.place}" for e in physics.undone()]
-    print("physics that is undone by commands: " + (", ".join(known) or "none"))
-    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
-    if left:
-        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
-    for u in physics.unknown:
-        print(f"unknown at {u.place}: " + ("corrected as a smooth function of the configuration" if u.corrected else "not corrected, as no smooth "
-                                           "function of the configuration explains it"))
 
 
 def _before(path: Path, nominal: Any) -> Calibration:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calib.certify.claim import Claim
+    from calib.correct.physics import Physics
     from calib.store import Calibration
 
 
@@ -38,3 +39,17 @@ def _say_workspace(calibration: Calibration) -> None:
 
     if calibration.workspace is not None:
         print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
+
+
+def say_physics(physics: Physics | None) -> None:
+    """Print which of the physics that a calibration knows its commands undo; nothing where it knows none."""
+    if physics is None:
+        return
+    again, known = physics.undone(), [f"{e.label()} at {e.place}" for e in physics.undone()]
+    print("physics that is undone by commands: " + (", ".join(known) or "none"))
+    left = [f"{e.label()} at {e.place}" for e in physics.effects if e not in again]
+    if left:
+        print(f"taken out of what was measured, and not the commands' to undo: {', '.join(left)}")
+    for u in physics.unknown:
+        print(f"unknown at {u.place}: " + ("corrected as a smooth function of the configuration" if u.corrected else "not corrected, as no smooth "
+                                           "function of the configuration explains it"))
