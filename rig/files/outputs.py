@@ -35,6 +35,7 @@ class Outputs:
             for folder in [folder for folder, _ in self._growing]:
                 if kind is None:
                     write_text(folder / MANIFEST, Made(self._origin(True), load(folder).files).text())
+                    self.pages += folder.glob("*.html")
         finally:
             if isinstance(error, FileError):
                 error.args = (self._as_named(str(error)),)

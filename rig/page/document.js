@@ -32,7 +32,7 @@ function say(figure, { path, place }) {
 }
 
 for (const figure of document.querySelectorAll("svg.figure:has(.valued)")) {
-  figure.addEventListener("pointermove", (event) => {
+  const point = (event) => {
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(figure.getScreenCTM().inverse());
     const found = nearest(figure, at.x, at.y);
     told.hidden = !found;
@@ -40,7 +40,9 @@ for (const figure of document.querySelectorAll("svg.figure:has(.valued)")) {
     told.textContent = say(figure, found);
     told.style.left = `${Math.max(4, Math.min(event.clientX + 12, innerWidth - told.offsetWidth - 8))}px`;
     told.style.top = `${Math.max(4, event.clientY - told.offsetHeight - 12)}px`;
-  });
+  };
+  figure.addEventListener("pointermove", point);
+  figure.addEventListener("pointerdown", point);
   figure.addEventListener("pointerleave", () => { told.hidden = true; });
 }
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => { part.open = true; }));

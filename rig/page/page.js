@@ -22,7 +22,15 @@ function minutes(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 }
 
+// How the run stands, first of all: good, check where something was said, bad where it ended before its end.
+function judge(run) {
+  const state = run.ended ? "bad" : run.alarms.length ? "check" : "good";
+  at("state").textContent = state;
+  at("state").className = `badge ${state}`;
+}
+
 function show(run) {
+  judge(run);
   at("phase").textContent = run.phase;
   at("far").textContent = `frame ${run.frame} of ${run.frames}, step ${run.step} of ${run.steps}` + (run.left > 0 ? `, ${minutes(run.left)} left` : "");
   at("bar").max = Math.max(run.frames, 1);
