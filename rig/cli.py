@@ -17,7 +17,7 @@ from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-WRITTEN = ("next", "out", "page", "truth", "state", "history", "draw", "stl", "rerun")  # arguments that name what is written; all other paths are read
+WRITTEN = ("next", "out", "page", "truth", "state", "history", "draw", "stl", "rerun")  # arguments that name what is written; all else is read
 
 S = TypeVar("S", bound=int | str | None)  # an exit status
 COMMANDS = {
@@ -51,7 +51,7 @@ COMMANDS = {
     "insitu": "Measuring limbs held against vision; once they pass, saved to stand for it.",
     "closure": "More lengths than six: which six tell the pose, and by how much the others do not close.",
     "export": "A calibrated geometry for other programs: genhexkins, URDF, JSON, CSV.",
-    "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, as a page or for the viewer Rerun.",
+    "view": "One frame of a recording with markers, axes and residuals drawn in; or all of it in three dimensions, as a page or for Rerun.",
     "index": "One page of all pages below a folder, each with its verdict.",
     "design": "A sensible rig.toml from a radius: cubes and cameras placed.",
     "print": "The cubes of a rig.toml as nets to print, true to scale.",

@@ -21,6 +21,7 @@ from rig.commands.blind_page import campaign_page
 from rig.page.server import PageServer
 from synthetic.score import Case, Found, Hidden
 from tests.rig.test_page import EVENT
+from vision.snapshot import jpeg
 
 pytestmark = pytest.mark.slow
 KINDS = ("measure", "calibrate", "diagnose", "verify", "certify", "workspace", "online", "plan", "view", "watch", "index", "insitu", "blind",
@@ -83,7 +84,7 @@ def _made(at):
 def served():
     """The address of a run's page."""
     server = PageServer(lambda: None)
-    server.show(lambda: {**EVENT, "alarms": []}, {})
+    server.show(lambda: {**EVENT, "alarms": []}, {"cam0": lambda: jpeg(np.full((48, 64), 90, np.uint8))})
     yield server.url
     server.close()
 

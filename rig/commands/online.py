@@ -78,8 +78,8 @@ def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt:
 
 def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
           progress: Progress, arguments: Namespace) -> tuple[Online, Learnt]:
-    """The filter after a recording's poses that it has not learnt, and what they taught, which is said. sampled : makes the Sampled of it; arguments : take the result
-    known : the filter to go on with, or None; calibration : where a new one starts from, or None
+    """The filter after a recording's poses that it has not learnt, and what they taught, which is said. sampled : makes the Sampled of it
+    arguments : take the result; known : the filter to go on with, or None; calibration : where a new one starts from, or None
 
     Raises RigError where no pose is left to learn
     """

@@ -67,7 +67,7 @@ def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[
         parts.append(text(left - 8, at + 6 * len(groups) + 4, name, "end", "name" if name in marked else ""))
         for row, (group, values, colour) in enumerate(groups):
             wide = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
-            parts.append(f'<rect class="fill c{colour}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{wide:.1f}" height="10">'
+            parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{wide:.1f}" height="10">'
                          f"{hover(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
             parts.append(text(left + wide + 4, at + 12 * row + 9, f"{values[k]:.3g}" if np.isfinite(values[k]) else "", style="small"))
     return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
@@ -88,7 +88,7 @@ def _rows(names: Sequence[str]) -> list[tuple[int, float]]:
     """[(row, place)] of a legend's names, as many in a row as fit."""
     places, row, at = [], 0, LEFT
     for name in names:
-        wide = 26 + 7.3 * len(name)
+        wide = 32 + 7.4 * len(name)
         if at > LEFT and at + wide > RIGHT:
             row, at = row + 1, LEFT
         places.append((row, at))
@@ -108,7 +108,11 @@ def _legend(series: Sequence[Series], rows: Sequence[tuple[int, float]], top: fl
 
 
 def _style(s: Series) -> str:
-    return ("fill" if s.kind == "bars" else s.kind) + (" grey" if s.colour < 0 else f" c{s.colour % COLOURS}")
+    return f"{'fill' if s.kind == 'bars' else s.kind} {_colour(s.colour)}"
+
+
+def _colour(number: int) -> str:
+    return "grey" if number < 0 else f"c{number % COLOURS}"
 
 
 def _drawn(s: Series, x: Scale, y: Scale) -> str:

@@ -68,7 +68,8 @@ def test_ticks_are_round_few_and_within():
 
 
 def test_bars_and_cells_say_their_values():
-    drawn = bars("b", ["one", "two"], [("before", [1.0, np.nan], 0)], "px", ["two"])
+    drawn = bars("b", ["one", "two"], [("before", [1.0, np.nan], 0), ("noise", [0.5, 0.5], -1)], "px", ["two"])
+    assert 'class="fill grey"' in drawn and 'class="fill c0"' in drawn
     assert "<title>one, before: 1 px</title>" in drawn and 'class="name" x=' in drawn
     plane = image_plane("p", "below", (100, 50), (Cells(np.array([[10.0, 10.0]]), np.array([0.25]), 5.0, "px"),
                                                   Arrows(np.array([[50.0, 25.0]]), np.array([[0.1, 0.0]]), 100.0, "px")))
