@@ -20,6 +20,7 @@ from rig.cli import main
 from rig.commands.blind_page import campaign_page
 from rig.page.server import PageServer
 from synthetic.score import Case, Found, Hidden
+from tests.conftest import SHARED
 from tests.rig.test_page import EVENT
 from vision.snapshot import jpeg
 
@@ -37,8 +38,10 @@ def rig(*words):
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory, shared):
+def written(tmp_path_factory):
     """{kind: path} of pages as the commands write them; of those that take long to come to, as their writers do."""
+    if not SHARED.exists():
+        pytest.skip("needs the shared recordings beside the project")
     at = tmp_path_factory.mktemp("project")
     rig("new", at, "--defaults", "--radius", "300mm", "--cameras", "2", "--size", "640x512")
     toml = at / "rig.toml"
@@ -54,7 +57,7 @@ def written(tmp_path_factory, shared):
     rig("online", at / "measured", "--page", at / "online.html")
     rig("plan", toml, "--for", "parameters", "--count", "9", "--out", at / "plan.csv", "--page", at / "plan.html")
     rig("view", at / "measured", "--page", at / "view.html", "--effect", HIDDEN)
-    rig("lens", *(shared / "photos/charuco" / f"{name}.png" for name in ("01", "03", "05", "10", "11")), "--board",
+    rig("lens", *(SHARED / "photos/charuco" / f"{name}.png" for name in ("01", "03", "05", "10", "11")), "--board",
         "charuco:5x7:0.036195:0.018256:DICT_6X6_250", "--out", at / "lens")
     assert main(["watch", str(at / "calibration.json"), str(at / "second"), "--page", str(at / "watch.html")]) in (0, 3)
     _made(at)
