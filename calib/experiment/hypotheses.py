@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnose.engine.policy import PLATFORM
+from calib.diagnose.engine.score import Alternative
+from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.problem import PlatformProblem
 from calib.diagnose.problems.platform.refine import Refined
@@ -65,7 +68,8 @@ class Question:
 def questions(diagnosis: PlatformDiagnosis) -> list[Question]:
     """[Question] of what a diagnosis cannot tell apart, none where it can. Raises RigError for a rig of which no plan can be foretold."""
     d, fit = diagnosis, diagnosis.selection.fit
-    open_ones = [f for f in d.selection.findings if f.alternatives]
+    size = fit.refined.model.size
+    open_ones = [f for f in d.selection.findings if any(not told_apart(f, a, size) for a in f.alternatives)]
     if not open_ones:
         return []
     point = d.selection.before.refined.point
@@ -77,7 +81,7 @@ def questions(diagnosis: PlatformDiagnosis) -> list[Question]:
         own = fit.terms[finding.number]
         found: list[tuple[str, str, float, Refined | None, int]] = [(own.name, own.place, 0.0, fit.refined, finding.number)]
         bare, unasked = problem.remove_term(fit, finding.number), []
-        for a in finding.alternatives:
+        for a in (a for a in finding.alternatives if not told_apart(finding, a, size)):
             candidate = a.score.candidate
             try:
                 refined = problem.add_term(bare, a.score).refined
@@ -90,6 +94,12 @@ def questions(diagnosis: PlatformDiagnosis) -> list[Question]:
         hypotheses = [Hypothesis(name, place, float(share), refined, number) for (name, place, _, refined, number), share in zip(found, shares)]
         out.append(Question((*hypotheses, Hypothesis(UNKNOWN, own.place, FOREIGN, fit.refined, finding.number)), tuple(unasked)))
     return out
+
+
+def told_apart(finding: Finding, alternative: Alternative, size: int) -> bool:
+    """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data alone, not by what it costs."""
+    by_data = alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size)
+    return alternative.behind >= PLATFORM.alike and (abs(alternative.cosine) <= PLATFORM.cosine or by_data >= PLATFORM.alike)
 
 
 def beforehand(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:

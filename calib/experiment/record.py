@@ -97,11 +97,12 @@ def _look(folder: Path, number: int) -> Look:
     unknown = [f for f in found.tables("findings") if f.text("effect") == UNKNOWN]
     questions = tuple(tuple(sorted((Hypothesis(h.text("title"), h.number("odds")) for h in q.tables("hypotheses")), key=lambda h: -h.odds))
                       for q in after.tables("questions"))
+    doubtful = {q.text("finding") for q in after.tables("questions")}
     proposed = tuple(Proposed(e.text("plan"), e.whole("exposures", 1), e.number("minutes"), e.number("bits"), e.number("settles"), e.texts("asks"))
                      for e in after.tables("experiments"))
     unasked = tuple(text for q in after.tables("questions") for text in q.texts("unasked"))
     return Look(number, recording_of(folder, number).name, minutes_of(plan_of(folder, number)), tuple(map(_title, findings)),
-                tuple(_title(f) for f in findings if not f.tables("cannot_be_told_from")),
+                tuple(title for title in map(_title, findings) if title not in doubtful),
                 tuple(f"something at {f.text('place')}" + _of(f) for f in unknown), questions, unasked, proposed)
 
 

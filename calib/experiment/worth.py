@@ -24,7 +24,8 @@ class Worth:
 def worth(odds: np.ndarray, expected: Foretold) -> Worth:
     """Worth of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,) say.
 
-    One is left alone as a diagnosis leaves it: all others are less likely by the odds from which it tells apart, and do something else
+    One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do nearly the same, by what the
+    experiment itself says
     """
     rng, h = np.random.default_rng(SEED), len(odds)
     roots = [np.linalg.cholesky(C) for C in expected.covariances]
@@ -35,10 +36,12 @@ def worth(odds: np.ndarray, expected: Foretold) -> Worth:
         logs.append(np.stack([_log_likelihood(z, expected.means[g], roots[g]) for g in range(h)], axis=1))
         truth += [k] * numbers[k]
         weight += [odds[k] / numbers[k]] * numbers[k]
-    posterior = np.concatenate(logs) + np.log(odds)
+    likelihood = np.concatenate(logs)
+    posterior = likelihood + np.log(odds)
     posterior -= posterior.max(axis=1, keepdims=True)
     best, w, rows = posterior.argmax(axis=1), np.array(weight), np.arange(len(truth))
-    apart = (posterior < -PLATFORM.alike / 2) & (np.abs(expected.cosines[best]) <= PLATFORM.cosine)
+    by_data = likelihood - likelihood[rows, best][:, None] < -PLATFORM.alike / 2
+    apart = (posterior < -PLATFORM.alike / 2) & ((np.abs(expected.cosines[best]) <= PLATFORM.cosine) | by_data)
     apart[rows, best] = True
     alone = apart.all(axis=1)
     share = np.exp(posterior)

@@ -32,8 +32,9 @@ def test_what_differs_in_nothing_tells_nothing_and_what_looks_the_same_stays_ali
     assert nothing.bits < 1e-9 and nothing.settles == 0
     far = apart(20.0)
     assert worth(HALF, far).settles == pytest.approx(1) and worth(HALF, far).bits == pytest.approx(1.0)
-    same = Foretold(far.means, far.covariances, np.ones((2, 2)))
-    assert worth(HALF, same).settles == 0
+    near, unequal = apart(1.0), np.array([0.94, 0.06])  # what one costs more than the other settles nothing between two that do the same
+    same = Foretold(near.means, near.covariances, np.ones((2, 2)))
+    assert worth(unequal, same).settles < 0.05 < worth(unequal, near).settles
 
 
 def test_what_costs_less_comes_first_among_those_that_settle():
