@@ -79,9 +79,10 @@ def _measured(told):
 def _named(still, one):
     yield f"nothing hidden: with a finding, of {len(still)}", str(sum(bool(c.found) or c.unexplained for c in still)), "<= 1"
     figures = {f.name: f for f in score.figures([*still, *one])}
-    for name, most in (("detected", 2), ("named first", 4), ("at its place", 3), ("nothing else named", "")):
+    for name, missed, most in (("detected", "not detected", 2), ("named first", "not named first", 4), ("at its place", "misplaced", 3),
+                               ("nothing else named", "something else named", "")):
         f = figures[f"one effect: {name}"]
-        figure = f"one effect at signal-to-noise >= {score.STRONG:g}, {f.trials} recordings: not {name}"
+        figure = f"one effect at signal-to-noise >= {score.STRONG:g}, {f.trials} recordings: {missed}"
         yield figure, str(f.trials - f.hits), f"<= {most}" if most else ""
     f = figures["95 % intervals that cover"]
     yield f"95 % intervals that cover the truth, of {f.trials}", f"{f.hits / max(f.trials, 1):.0%} ({f.low:.0%} to {f.high:.0%})", "91 %"
