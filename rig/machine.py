@@ -7,12 +7,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import mechanisms
-from rig.design import Design, Hexapod, Planar2
+from rig.design import Chain, Design, Hexapod, Planar2
 from rig.effects.base import Effect
 from rig.effects.motion import Motion, Path
 from rig.errors import NotConverged, RigError
 from rig.kinds import axes_of
-from rig.mechanisms import hexapod, planar
+from rig.mechanisms import chain, hexapod, planar
 from rig.pose import difference, exp
 from rig.recording import Commands, Sensors
 
@@ -27,12 +27,14 @@ class Run:
 
     T_base_platform : RigidTransform (n,); deviation : (n, axes) m or rad the axes stood beyond their command
     rate, curvature : (n, 6) tangent per s and per s^2 at the exposure (on the right), None where not asked for
+    stages : of a chain T_base_stage : RigidTransform (n,) of every stage's platform but the last, which is T_base_platform
     """
 
     T_base_platform: RigidTransform
     deviation: np.ndarray
     rate: np.ndarray | None = None
     curvature: np.ndarray | None = None
+    stages: tuple[RigidTransform, ...] = ()
 
 
 def motion(design: Design, commands: Commands, t: np.ndarray, effects: Iterable[Effect] = (), sensors: Sensors | None = None) -> Motion:
@@ -88,7 +90,8 @@ def run(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Eff
             raise NotConverged(f"no balance between pose and {', '.join(e.name for e in bound)} at {len(failed)} exposures", failed,
                                state.lengths[failed], left[failed])
     sway = sum((effect.sway(state) for effect in effects), np.zeros((len(state.t), 6)))
-    return Run(T * exp(sway) if sway.any() else T, deviation)
+    stages = chain.standing(state.lengths + deviation, m)[:-1] if isinstance(m, Chain) else []
+    return Run(T * exp(sway) if sway.any() else T, deviation, stages=tuple(stages))
 
 
 def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
@@ -127,4 +130,4 @@ def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequ
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
     minus, plus = difference(T[at], T[before]), difference(T[at], T[after])
-    return Run(T[at], done.deviation[at], (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2)
+    return Run(T[at], done.deviation[at], (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2, tuple(stage[at] for stage in done.stages))

@@ -3,38 +3,45 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design, Hexapod, Planar2
-from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius, strut_ends
+from rig.design import Design, Hexapod
+from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius, standing, strut_ends
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
 
-def hidden(design: Design, T_base_platform: RigidTransform, frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
+def hidden(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(k,) bool, whether the straight line from an eye to a point is blocked.
 
-    design : Design as it really is; T_base_platform : RigidTransform (F,); frame : (k,) index
+    design : Design as it really is; stages : where each stage's platform stands, RigidTransform (F,), the last alone but of a chain
+    frame : (k,) index
     eye, points : (k, 3) m, base frame
     """
     blocked = np.zeros(len(points), bool)
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
     ends = points - (points - eye) / length * OWN_DEPTH
-    matrix = T_base_platform.as_matrix()
-    if isinstance(design.mechanism, Hexapod | Planar2):
-        low, high = strut_ends(design.mechanism, T_base_platform)
-        radius = np.linalg.norm(design.mechanism.base_joints, axis=1).mean() / 2
-        for i in range(len(design.mechanism.axes)):
+    bodies = {"base": np.broadcast_to(np.eye(4), (len(stages[-1]), 4, 4)), "platform": stages[-1].as_matrix()}
+    bodies |= {f"stage {k + 1}": T.as_matrix() for k, T in enumerate(stages[:-1])}
+
+    def within(body: str) -> tuple[np.ndarray, np.ndarray]:
+        """(eyes, ends) (k, 3) m in the frame of a body."""
+        return (eye, ends) if body == "base" else (_into(bodies[body][frame], eye), _into(bodies[body][frame], ends))
+
+    for stands in standing(design.mechanism):
+        a, b = within(stands.base)
+        low, high = strut_ends(stands.stage, RigidTransform.from_matrix(np.linalg.inv(bodies[stands.base])) * stages[stands.number])
+        radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean() / 2
+        for i in range(len(stands.stage.axes)):
             middle = low[:, i] + SHARE * (high[:, i] - low[:, i])
-            blocked |= _through_rod(eye, ends, low[frame, i], middle[frame], STRUT_RADIUS * radius)
-            blocked |= _through_rod(eye, ends, middle[frame], high[frame, i], ROD_RADIUS * radius)
-    if isinstance(design.mechanism, Hexapod):
-        for body, joints in (("base", design.mechanism.base_joints), ("platform", design.mechanism.platform_joints)):
-            a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if body == "platform" else (eye, ends)
-            blocked |= _through_disc(a, b, joints[:, 2].mean() - 0.002, plate_radius(body, design), PLATE)
+            blocked |= _through_rod(a, b, low[frame, i], middle[frame], STRUT_RADIUS * radius)
+            blocked |= _through_rod(a, b, middle[frame], high[frame, i], ROD_RADIUS * radius)
+        if isinstance(stands.stage, Hexapod):
+            for body, joints in ((stands.base, stands.stage.base_joints), (stands.platform, stands.stage.platform_joints)):
+                blocked |= _through_disc(*within(body), joints[:, 2].mean() - 0.002, plate_radius(body, joints, design), PLATE)
     for target in design.targets:
         if target.edge is None or target.pose is None:
             continue
         pose = target.pose.inv().as_matrix()
-        a, b = (_into(matrix[frame], eye), _into(matrix[frame], ends)) if target.body == "platform" else (eye, ends)
+        a, b = within(target.body)
         blocked |= _through_box(a @ pose[:3, :3].T + pose[:3, 3], b @ pose[:3, :3].T + pose[:3, 3], target.edge / 2 - 1e-6)
     return blocked
 

@@ -18,7 +18,7 @@ from rig.processes import cores, gathered, pool_of
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
-from synthetic.simulation import Simulation, carried
+from synthetic.simulation import Simulation, carried, moved
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 
@@ -115,7 +115,7 @@ def _exposed(f: int, i: int, sensor: Sensor) -> np.ndarray:
     """The image of (frame, camera index) by a sensor."""
     seed, exposures = _state["seed"], _state["exposures"]
     rng = np.random.default_rng([seed & 0xFFFFFFFF, seed >> 32, f, i])
-    pictures = [_picture(_state["design"].cameras[i], i, f, shift, T[f]) for shift, T in exposures]
+    pictures = [_picture(_state["design"].cameras[i], i, f, shift, [T[f] for T in stages]) for shift, stages in exposures]
     radiance = sum(pictures[1:], pictures[0]) / np.float32(len(exposures))
     return expose(radiance, sensor, rng, SAMPLES)
 
@@ -137,10 +137,10 @@ def picture(simulation: Simulation, f: int, i: int, images: Images, seed: int) -
     return _exposed(f, i, images.sensor)
 
 
-def _exposures() -> list[tuple[float, RigidTransform]]:
-    """[(s before or after the middle of the exposure, T_base_platform at all frames)] of the pictures that make an image."""
+def _exposures() -> list[tuple[float, list[RigidTransform]]]:
+    """[(s before or after the middle of the exposure, where what moves stands at all frames)] of the pictures that make an image."""
     simulation, shifts = _state["simulation"], _sub_exposures(_state["images"].sensor)
-    return [(shift, simulation.run.T_base_platform if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
+    return [(shift, moved(simulation.run) if shift == 0 else simulation.at_times(simulation.plan.t + shift)) for shift in shifts]
 
 
 def _sub_exposures(sensor: Sensor) -> list[float]:
@@ -150,19 +150,20 @@ def _sub_exposures(sensor: Sensor) -> list[float]:
     return (((np.arange(sensor.exposures) + 0.5) / sensor.exposures - 0.5) * sensor.exposure).tolist()
 
 
-def _picture(camera: Camera, i: int, f: int, shift: float, T: RigidTransform) -> np.ndarray:
-    """Radiance seen by a camera, the exposure shifted (s), the platform at T; rows of a rolling shutter at their own times."""
+def _picture(camera: Camera, i: int, f: int, shift: float, stages: list[RigidTransform]) -> np.ndarray:
+    """Radiance seen by a camera, the exposure shifted (s), what moves at stages; rows of a rolling shutter at their own times."""
     s = _state["simulation"]
     t = s.plan.t[f] + shift
     row_time = _row_time(camera, s.world.effects)
     if not row_time:
-        return _view(camera, t, T)
+        return _view(camera, t, stages)
     first, last = -camera.height / 2 * row_time, (camera.height / 2 - 1) * row_time
-    steps = min(MOST, 1 + int(np.ceil(_travel(i, s.at_times([t + first, t + last])) / BLEND)))
+    steps = min(MOST, 1 + int(np.ceil(_travel(i, s.at_times(np.array([t + first, t + last]))[-1]) / BLEND)))
     if steps == 1:
-        return _view(camera, t, T)
+        return _view(camera, t, stages)
     moments = t + np.linspace(first, last, steps)
-    pictures = np.stack([_view(camera, moment, pose) for moment, pose in zip(moments, s.at_times(moments))])
+    poses = s.at_times(moments)
+    pictures = np.stack([_view(camera, moment, [T[k] for T in poses]) for k, moment in enumerate(moments)])
     rows = np.arange(camera.height * SAMPLES)
     place = (rows // SAMPLES) / max(camera.height - 1, 1) * (steps - 1)
     low = np.minimum(place.astype(int), steps - 2)
@@ -176,7 +177,7 @@ def _row_time(camera: Camera, effects: Iterable[Effect]) -> float:
     return stated + sum((float(effect.late(camera, np.array(camera.height / 2 + 1.0))) for effect in effects), 0.0)
 
 
-def _view(camera: Camera, t: float, T: RigidTransform) -> np.ndarray:
+def _view(camera: Camera, t: float, stages: list[RigidTransform]) -> np.ndarray:
     """Radiance seen by a camera at time t (s), its mount and focal length as the effects have them then."""
     sensors = _state["simulation"].sensors
 
@@ -187,7 +188,7 @@ def _view(camera: Camera, t: float, T: RigidTransform) -> np.ndarray:
     for effect in _state["simulation"].world.effects:
         mount = mount + effect.mount(camera, np.array([t]), channel)[0]
         focal *= float(effect.focal(camera, np.array([t]), channel)[0])
-    return _state["renderer"].draw(camera.name, T, mount if mount.any() else None, focal)
+    return _state["renderer"].draw(camera.name, stages[-1], mount if mount.any() else None, focal, stages[:-1])
 
 
 def _travel(i: int, T: RigidTransform) -> float:

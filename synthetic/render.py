@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import sys
 import types
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -78,13 +79,15 @@ class Renderer:
         """Give the OpenGL context back."""
         self.renderer.delete()
 
-    def draw(self, camera_name: str, T_base_platform: RigidTransform, mount: np.ndarray | None = None, focal: float = 1.0) -> np.ndarray:
+    def draw(self, camera_name: str, T_base_platform: RigidTransform, mount: np.ndarray | None = None, focal: float = 1.0,
+             below: Sequence[RigidTransform] = ()) -> np.ndarray:
         """(SAMPLES height, SAMPLES width) float32 radiance 0..1 seen by a camera at a pose of the platform, SAMPLES to the pixel each way.
 
+        below : of a chain, where the platforms of the stages below the last stand, one pose each
         mount : (6,) tangent by which the camera's own pose has moved, on the right, or None; focal : factor on its focal length
         """
         pinhole = self.cameras[camera_name]
-        poses = body_poses(self.mechanism, T_base_platform)
+        poses = body_poses(self.mechanism, [*below, T_base_platform])
         for part, node in zip(self.parts, self.nodes):
             matrix = poses[part.body]
             self.scene.set_pose(node, matrix)

@@ -5,14 +5,15 @@ law, face by face, so that the renderer need only multiply. Ink is no texture: i
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import trimesh
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import FACES, Design, Hexapod, Planar2, Target
-from rig.kinds import Mechanism, Struts, hexapod_of
+from rig.design import FACES, Chain, Design, Hexapod, Planar2, Target
+from rig.kinds import Mechanism, Struts
 from vision.targets import MarkerMap, face_pose, marker_cells, marker_map
 
 WHITE, BLACK, METAL, DARK = 0.85, 0.06, 0.35, 0.12  # albedo
@@ -34,7 +35,8 @@ class Ink:
 class Part:
     """One mesh of one grey.
 
-    body : "base", "platform", "strut 1 lower" .. "strut 6 upper", or "world"; mesh : trimesh in the body's frame, m
+    body : "base", "platform", "strut 1 lower" .. "strut 6 upper", of a chain "stage 1", "stage 2 strut 1 lower" .., or "world"
+    mesh : trimesh in the body's frame, m
     normal : (3,) of a flat part, for its lighting, or None for a round one; centre : (3,) m; albedo : 0..1
     texture : (h, w) float 0..1 that multiplies the albedo, or None; uv : (vertices, 2) texture coordinates; ink : Ink, or None
     """
@@ -67,11 +69,10 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
     markers : MarkerMap of where and how large the markers really are, by default as the design has them
     """
     found = []
-    mechanism = design.mechanism
-    if mechanism.kind == "hexapod":
-        found += _plate("base", mechanism.base_joints, design) + _plate("platform", mechanism.platform_joints, design)
-    if isinstance(mechanism, Hexapod | Planar2):
-        found += _struts(mechanism)
+    for stands in standing(design.mechanism):
+        if isinstance(stands.stage, Hexapod):
+            found += _plate(stands.base, stands.stage.base_joints, design) + _plate(stands.platform, stands.stage.platform_joints, design)
+        found += _struts(stands)
     placed = markers if markers is not None else marker_map(design)
     for target in design.targets:
         found += _blank_faces(target)
@@ -81,11 +82,34 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
     return found + _surroundings(design, background, rng)
 
 
-def body_poses(mechanism: Mechanism, T_base_platform: RigidTransform) -> dict[str, np.ndarray]:
-    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks."""
-    poses = {"world": np.eye(4), "base": np.eye(4), "platform": T_base_platform.as_matrix()}
-    if isinstance(mechanism, Hexapod | Planar2):
-        for i, (low, high) in enumerate(zip(*strut_ends(mechanism, T_base_platform))):
+class Standing(NamedTuple):
+    """What stands on struts, by itself or as a chain's stage. stage; prefix : of its struts' names; base, platform : names of the bodies between
+    which they stand; number : of what moves, as `body_poses` is told where that is."""
+
+    stage: Struts
+    prefix: str
+    base: str
+    platform: str
+    number: int
+
+
+def standing(mechanism: Mechanism) -> list[Standing]:
+    """What of a mechanism stands on struts, from the base up; an arm's links are not drawn."""
+    stages = mechanism.stages if isinstance(mechanism, Chain) else (mechanism,)
+    names = ["base", *(f"stage {k + 1}" for k in range(len(stages) - 1)), "platform"]
+    return [Standing(stage, f"stage {k + 1} " if isinstance(mechanism, Chain) else "", names[k], names[k + 1], k)
+            for k, stage in enumerate(stages) if isinstance(stage, Hexapod | Planar2)]
+
+
+def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, np.ndarray]:
+    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : where each stage's platform stands, the last alone
+    but of a chain"""
+    poses = {"world": np.eye(4), "base": np.eye(4), "platform": stages[-1].as_matrix()}
+    poses |= {f"stage {k + 1}": T.as_matrix() for k, T in enumerate(stages[:-1])}
+    for stands in standing(mechanism):
+        T_below = RigidTransform.from_matrix(poses[stands.base])
+        ends = strut_ends(stands.stage, T_below.inv() * stages[stands.number])
+        for i, (low, high) in enumerate(zip(*(T_below.apply(end) for end in ends))):
             along = (high - low) / np.linalg.norm(high - low)
             side = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.9 else [0, 1.0, 0])
             side /= np.linalg.norm(side)
@@ -97,7 +121,7 @@ def body_poses(mechanism: Mechanism, T_base_platform: RigidTransform) -> dict[st
                 matrix[:3, 2] *= scale * np.linalg.norm(high - low)
                 if scale < 0:
                     matrix[:3, 1] *= -1  # keeps the handedness
-                poses[f"strut {i + 1} {name}"] = matrix
+                poses[f"{stands.prefix}strut {i + 1} {name}"] = matrix
     return poses
 
 
@@ -113,10 +137,8 @@ def shade(part: Part, matrix: np.ndarray) -> float:
     return float(min(1.0, part.albedo * min(light, 1.0 / WHITE)))
 
 
-def plate_radius(body: str, design: Design) -> float:
-    """m, of the disc that carries a body's joints and cubes."""
-    m = hexapod_of(design.mechanism)
-    joints = m.base_joints if body == "base" else m.platform_joints
+def plate_radius(body: str, joints: np.ndarray, design: Design) -> float:
+    """m, of the disc that carries a body's joints (6, 3) m and its cubes."""
     cubes = [float(np.linalg.norm(target.pose.translation[:2])) + 0.8 * target.edge for target in design.targets
              if target.body == body and target.edge and target.pose is not None]
     return max([1.12 * float(np.linalg.norm(joints[:, :2], axis=1).max()), *cubes])
@@ -124,7 +146,7 @@ def plate_radius(body: str, design: Design) -> float:
 
 def _plate(body: str, joints: np.ndarray, design: Design) -> list[Part]:
     """A disc just under the plane of joints."""
-    disc = trimesh.creation.cylinder(radius=plate_radius(body, design), height=PLATE, sections=96)
+    disc = trimesh.creation.cylinder(radius=plate_radius(body, joints, design), height=PLATE, sections=96)
     disc.apply_translation([0, 0, joints[:, 2].mean() - PLATE / 2 - 0.002])
     return [Part(body, disc, np.array([0, 0, 1.0]), np.zeros(3), DARK)]
 
@@ -140,14 +162,14 @@ def strut_ends(mechanism: Struts, T_base_platform: RigidTransform) -> tuple[np.n
     return np.broadcast_to(low, high.shape), high
 
 
-def _struts(mechanism: Struts) -> list[Part]:
-    radius = np.linalg.norm(mechanism.base_joints, axis=1).mean()
+def _struts(stands: Standing) -> list[Part]:
+    radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean()
     found = []
-    for i in range(len(mechanism.axes)):
+    for i in range(len(stands.stage.axes)):
         for name, width, grey in (("lower", STRUT_RADIUS, METAL), ("upper", ROD_RADIUS, 0.6)):
             rod = trimesh.creation.cylinder(radius=width * radius / 2, height=1.0, sections=24)
             rod.apply_translation([0, 0, 0.5])
-            found.append(Part(f"strut {i + 1} {name}", rod, None, np.array([0, 0, 0.5]), grey))
+            found.append(Part(f"{stands.prefix}strut {i + 1} {name}", rod, None, np.array([0, 0, 0.5]), grey))
     return found
 
 

@@ -44,13 +44,18 @@ class Simulation:
     log: Sensors
     run: machine.Run
 
-    def at_times(self, t: np.ndarray) -> RigidTransform:
-        """T_base_platform : RigidTransform (n,) of the simulated machine at other times t (n,) s, as the cameras log them."""
+    def at_times(self, t: np.ndarray) -> list[RigidTransform]:
+        """[T_base_stage : RigidTransform (n,)] of what the simulated machine moves at other times t (n,) s, as the cameras log them: the platform
+        last, alone but of a chain."""
         order = np.argsort(t, kind="stable")
         run = machine.run(self.world.true, self.plan.commands, np.asarray(t)[order], self.world.effects, self.sensors)
-        matrix = np.empty((len(order), 4, 4))
-        matrix[order] = run.T_base_platform.as_matrix()
-        return RigidTransform.from_matrix(matrix)
+        back = np.argsort(order)
+        return [T[back] for T in moved(run)]
+
+
+def moved(run: machine.Run) -> list[RigidTransform]:
+    """[T_base_stage : RigidTransform (n,)] of what a Run moved: the platform last, alone but of a chain."""
+    return [*run.stages, run.T_base_platform]
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
@@ -89,7 +94,7 @@ def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings
     uv = see(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, run)
     whole = inside(found, uv, state.cameras)
     found, uv = found.take(whole), uv[whole]
-    clear = ~_covered(world.true, run.T_base_platform, real, found)
+    clear = ~_covered(world.true, moved(run), real, found)
     return found.take(clear), uv[clear]
 
 
@@ -98,8 +103,9 @@ def carried(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dic
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
-def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
-    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden."""
+def _covered(design: Design, stages: list[RigidTransform], markers: MarkerMap, found: Sightings) -> np.ndarray:
+    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `moved`"""
+    T = stages[-1]
     square = markers.corners[found.marker]
     points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
     matrix = T.as_matrix()[found.frame]
@@ -111,7 +117,7 @@ def _covered(design: Design, T: RigidTransform, markers: MarkerMap, found: Sight
         rows = found.camera == i
         eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation
     count = points.shape[1]
-    blocked = hidden(design, T, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
+    blocked = hidden(design, stages, np.repeat(found.frame, count), np.repeat(eyes, count, axis=0), base.reshape(-1, 3))
     return np.any(blocked.reshape(-1, count), axis=1)
 
 

@@ -20,6 +20,8 @@ from rig.mechanisms import places as chain_places
 from rig.mechanisms import arm, chain, hexapod
 from rig.pose import difference, exp, log, pose
 from rig.recording import Commands
+from synthetic import scene
+from synthetic.occlusion import hidden
 from tests.loops import holds, lines, rig, verified
 from tests.numeric import jacobian as differences
 
@@ -36,9 +38,9 @@ limits = [[-0.1, 0.1], [-0.1, 0.1], [-0.05, 0.05]]
 INSTRUMENT = '[instrument]\nbase = "rig"\ntool = "rig"\nposition_sigma = 1e-5\nrotation_sigma = 5e-5\n\n'
 
 
-def written(folder, seen=False):
+def written(folder, seen=False, cameras=3, size=(1280, 1024)):
     """Design of the rig.toml, written into a folder, of a hexapod on a gantry, seen by cameras or measured by an instrument."""
-    text = layout.layout(0.25)
+    text = layout.layout(0.25, cameras, *size)
     start, end, cameras = (text.index(word) for word in ("[mechanism]", "[actuator]", "[[camera]]"))
     stage = text[start:end].replace("[mechanism]", "[[mechanism.stage]]")
     rest = text[end:] if seen else INSTRUMENT + text[end:cameras]
@@ -147,6 +149,37 @@ def test_what_is_no_chain_is_told_by_line(tmp_path, change, says):
     with pytest.raises(FileError, match=says) as error:
         design_file.load(tmp_path / "rig.toml")
     assert error.value.line is not None
+
+
+def test_what_stands_on_the_carriage_is_drawn_there_and_hides_what_is_behind(tmp_path):
+    design = written(tmp_path, seen=True)
+    m = design.mechanism
+    x = low_discrepancy(chain.travel(m), 1, 0.9, 3)
+    stages = chain.standing(x, m)
+    poses = scene.body_poses(m, [T[0] for T in stages])
+    parts = {part.body for part in scene.parts(design)}
+    assert {"stage 1", "platform", "base", *(f"stage 2 strut {i + 1} {end}" for i in range(6) for end in ("lower", "upper"))} <= parts
+    assert parts <= set(poses)
+    feet = stages[0][0].apply(m.stages[1].base_joints)
+    heads = stages[1][0].apply(m.stages[1].platform_joints)
+    for i, (foot, head) in enumerate(zip(feet, heads)):
+        np.testing.assert_allclose(poses[f"stage 2 strut {i + 1} lower"][:3, 3], foot, atol=1e-12)
+        np.testing.assert_allclose(poses[f"stage 2 strut {i + 1} upper"][:3, 3], head, atol=1e-12)
+    across = np.cross(heads[0] - feet[0], [0, 0, 1.0])
+    across *= 0.05 / np.linalg.norm(across)
+    middle, below = (feet[0] + heads[0]) / 2, stages[0][0].apply([0, 0, -0.1])
+    eyes = np.array([middle + 5 * across, middle + 5 * across, stages[0][0].apply([0, 0, 0.1])])
+    points = np.array([middle - across, middle + across, below])
+    assert hidden(design, stages, np.zeros(3, int), eyes, points).tolist() == [True, False, True]  # by a strut, by nothing, by the carriage's plate
+
+
+@pytest.mark.slow
+def test_a_loop_closes_from_images(tmp_path, capfd):
+    design = written(tmp_path, seen=True, cameras=2, size=(800, 640))
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:24", "--seed", "2", "--images", "--out", tmp_path / "rec", "--truth",
+        tmp_path / "truth.json")
+    m = design.mechanism
+    holds(verified(tmp_path, capfd, lines(chain.forward(low_discrepancy(chain.travel(m), 4, 0.5, 5), m)), ("--images",)))
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ exchanged; the stated pose of the camera in the platform holds the platform's fr
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.pose import skew
@@ -21,11 +22,13 @@ def in_hand(design: Design) -> bool:
 
 def exchanged(recording: Recording) -> Recording:
     """A recording as seen from the hand: its cameras stand still, and the base's targets are on the body that moves; others as they are."""
-    design = recording.design
-    if not in_hand(design):
-        return recording
+    return replace(recording, design=seen_from(recording.design)) if in_hand(recording.design) else recording
+
+
+def seen_from(design: Design) -> Design:
+    """A design whose cameras are in the hand as seen from there, see `exchanged`."""
     cameras = tuple(replace(camera, mount="fixed") for camera in design.cameras)
-    return replace(recording, design=replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets)))
+    return replace(design, cameras=cameras, targets=tuple(replace(target, body="platform") for target in design.targets))
 
 
 def of_platform(measured: Measurement) -> Measurement:
@@ -33,10 +36,16 @@ def of_platform(measured: Measurement) -> Measurement:
 
     T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
     """
-    T = measured.T_base_platform
-    R, t = T.rotation.as_matrix(), T.translation
-    adjoint = np.zeros((len(T), 6, 6))
-    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
-    adjoint[:, :3, 3:] = skew(t) @ R
-    return replace(measured, T_base_platform=T.inv(), covariance=adjoint @ measured.covariance @ np.swapaxes(adjoint, 1, 2),
-                   common=-adjoint @ measured.common)
+    adjoint = adjoint_of(measured.T_base_platform)
+    return replace(measured, T_base_platform=measured.T_base_platform.inv(),
+                   covariance=adjoint @ measured.covariance @ np.swapaxes(adjoint, 1, 2), common=-adjoint @ measured.common)
+
+
+def adjoint_of(T: RigidTransform) -> np.ndarray:
+    """(..., 6, 6) of poses T (...): what takes a tangent on their right (m, rad) to one on their left."""
+    matrix = T.as_matrix()
+    R, t = matrix[..., :3, :3], matrix[..., :3, 3]
+    out = np.zeros((*R.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(t) @ R
+    return out

@@ -16,6 +16,7 @@ from rig.commands.looking import Display, Looking
 from rig.commands.page import Page
 from rig.commands.terminal import terminal
 from rig.errors import RigError
+from vision.in_hand import in_hand
 from vision.reading.live import Live
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], 
     if calibration is not None and calibration.correction.nominal.kind != design.mechanism.kind:
         raise RigError(f"{arguments.calibration} is of a mechanism of kind {calibration.correction.nominal.kind!r}, the rig's is "
                        f"{design.mechanism.kind!r}")
-    measured = not arguments.no_measure and any(target.body == "platform" for target in design.targets)
+    measured = not arguments.no_measure and (in_hand(design) or any(target.body == "platform" for target in design.targets))
     learner = None
     if measured and design.mechanism.kind == "hexapod":
         learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None,

@@ -40,12 +40,17 @@ def each(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
     return [KINDS[stage.kind].forward(own, stage) for stage, own in stages(values, chain)]
 
 
+def standing(values: np.ndarray, chain: Chain) -> list[RigidTransform]:
+    """[T_base_stage (...)] where every stage's platform stands in the chain's base, the last the chain's own. Raises what a stage's own raises."""
+    out: list[RigidTransform] = []
+    for T in each(values, chain):
+        out.append(out[-1] * T if out else T)
+    return out
+
+
 def forward(values: np.ndarray, chain: Chain, guess: RigidTransform | None = None) -> RigidTransform:
     """T_base_platform (...) of commanded values (..., axes of all) m or rad. guess : unused; raises what a stage's own raises."""
-    first, *rest = each(values, chain)
-    for T in rest:
-        first = first * T
-    return first
+    return standing(values, chain)[-1]
 
 
 def beyond(parts: list[RigidTransform]) -> list[np.ndarray]:

@@ -68,7 +68,7 @@ def test_what_is_hidden_is_hidden_by_solids(design):
     away /= np.linalg.norm(away)
 
     def blocked(eye, point):
-        return bool(hidden(design, home, zero, np.array([eye], float), np.array([point], float))[0])
+        return bool(hidden(design, [home], zero, np.array([eye], float), np.array([point], float))[0])
 
     assert blocked(middle + 0.5 * away, middle - 0.05 * away)  # through the strut
     assert not blocked(middle + 0.5 * away, middle + 0.05 * away)
@@ -105,11 +105,11 @@ def test_a_picture_in_motion_is_the_mean_of_its_moments(design, tmp_path, opengl
         assert np.abs(moments[0] - moments[2]).max() > 0.05
         rolling = replace(design.cameras[0], shutter="rolling", row_time=3e-5)
         pictures._state["design"] = replace(pictures._state["design"], cameras=(rolling, *pictures._state["design"].cameras[1:]))
-        T = exposures[1][1][0]
+        T = [exposures[1][1][0][0]]
         rolled = pictures._picture(rolling, 0, 0, 0.0, T)
         for row in (0, 512, 1023):  # every row is that of a picture taken at its own moment
             late = (row - 512) * 3e-5
-            then = s.at_times([s.plan.t[0] + late])[0]
+            then = [T[0] for T in s.at_times(np.array([s.plan.t[0] + late]))]
             fine = row * render.SAMPLES
             np.testing.assert_allclose(rolled[fine], pictures._view(rolling, s.plan.t[0] + late, then)[fine], atol=0.02)
         assert np.abs(rolled - pictures._view(rolling, s.plan.t[0], T)).max() > 0.01

@@ -17,6 +17,7 @@ from rig.processes import cores
 from rig.recording import Corners
 from vision.corners.detect import Detection, detect, grey, place
 from vision.corners.spread import PLAIN, Spread
+from vision.in_hand import adjoint_of, in_hand, seen_from
 from vision.measure import Measurement, measure
 from vision.observations import Observations, from_corners, nothing_seen
 from vision.pose.frames import Views, locate_frames, resect
@@ -53,6 +54,15 @@ def told_by_limbs(frame: int, T_base_platform: RigidTransform, covariance: np.nd
     return Sight(frame, T_base_platform, covariance, "", nothing_seen(frame), np.zeros((0, 2)), np.zeros(0, bool), {}, {})
 
 
+def from_hand(sight: Sight) -> Sight:
+    """The Sight of a base that was seen from the platform: where the platform stands, by the inverse, with its covariance."""
+    T = sight.T_base_platform
+    if T is None:
+        return sight
+    adjoint = adjoint_of(T)
+    return replace(sight, T_base_platform=T.inv(), covariance=None if sight.covariance is None else adjoint @ sight.covariance @ adjoint.T)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
     """What an adjustment came to. again : {(frame, camera): Detection} placed anew; spread : {camera: Spread}, both empty where not learnt anew."""
@@ -63,11 +73,14 @@ class _Adjusted:
 
 
 class Live:
-    """The measuring of one run. design : Design as stated; cameras : as adjusted so far; noise : px of a corner, None before that."""
+    """The measuring of one run. design : Design as stated, one whose cameras are in the hand as seen from there (see vision.in_hand)
+    cameras : as adjusted so far; noise : px of a corner, None before that."""
 
     def __init__(self, design: Design) -> None:
         if not design.cameras or not design.targets:
             raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
+        self._held = in_hand(design)
+        design = seen_from(design) if self._held else design
         self.design, self.markers = design, marker_map(design)
         self.cameras = design.cameras
         self.noise: float | None = None
@@ -83,6 +96,8 @@ class Live:
     def take(self, frame: int, images: dict[str, np.ndarray], T_expected: RigidTransform | None = None) -> Sight:
         """The sight of a frame. images : {camera: as cv2 reads it}; T_expected : where the platform ought to be, or None."""
         self._adopt()
+        if self._held and T_expected is not None:
+            T_expected = T_expected.inv()
         by_name = {camera.name: camera for camera in self.cameras}
         adjusted = self._measurement is not None and T_expected is not None
         work = [(name, self._pool.submit(detect, image, by_name[name], self.markers, self._spread[name],
@@ -95,7 +110,7 @@ class Live:
             self._first += [(frame, name, image) for name, image in images.items()]
         sight = self._locate(frame, rows, detections)
         self._solved += sight.T_base_platform is not None
-        return sight
+        return from_hand(sight) if self._held else sight
 
     def adjust(self) -> None:
         """Begin to adjust cameras to all frames so far where it is time to; what comes of it is taken over with a frame to come."""

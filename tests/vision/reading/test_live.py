@@ -5,8 +5,19 @@ from concurrent.futures import wait
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
-from rig import recording
+from rig import design_file, recording
+from rig.cameras.emulated import USUAL
+from rig.clock import SimulatedClock
+from rig.configurations import low_discrepancy
+from rig.design import Sensor
+from rig.mechanisms import hexapod
+from rig.pose import difference
+from synthetic import world
+from synthetic.eyes import Eyes
+from synthetic.pictures import Images
+from tests.vision import in_hand
 from vision.reading import live as module
 from vision.reading.collect import read_image
 from vision.reading.live import TAUGHT, Live
@@ -58,3 +69,34 @@ def test_a_mistake_made_while_adjusting_is_raised(frames, monkeypatch):
         live.take(TAUGHT[0], images[0])
     assert live.take(TAUGHT[0], images[0]).T_base_platform is not None  # said once; the cameras stay as they were
     live.close()
+
+
+@pytest.mark.slow
+def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl):
+    """Through the emulator's eyes: a camera that the platform carries, drawn as the struts stand, and where the platform is told by what it sees."""
+    (tmp_path / "rig.toml").write_text(in_hand.text())
+    design = design_file.load(tmp_path / "rig.toml")
+    secret, strokes = world.draw(design, np.random.default_rng(2)), design.mechanism.strut_range
+    goals = low_discrepancy(strokes, TAUGHT[0] + 4, 0.5, 1)
+    t = 10.0 * np.arange(len(goals) + 1)
+    eyes = Eyes(secret, Images(Sensor()), 1, lambda: (np.repeat(t, 2)[1:-1] + np.tile([0, 5.0], len(goals)), np.repeat(goals, 2, axis=0)),
+                SimulatedClock(t[-1]))
+    live, sights, true = Live(design), [], []
+    for k, goal in enumerate(goals):
+        T = RigidTransform.from_matrix(eyes.pose(t[k] + 4.0))
+        sights.append(live.take(k, {"cam0": eyes.image("cam0", t[k] + 4.0, USUAL)}, hexapod.forward(goal, design.mechanism)))
+        live.adjust()
+        true.append(T)
+        if live._adjusting is not None:
+            wait([live._adjusting])
+    live.close()
+    held = secret.true.cameras[0].pose * design.cameras[0].pose.inv()  # the platform's frame is held by the camera's stated pose
+    last = slice(TAUGHT[0], None)
+    off = np.array([difference(a * held, b.T_base_platform) for a, b in zip(true[last], sights[last])])
+    covariance = np.array([sight.covariance for sight in sights[last]])
+    apart = off - off.mean(axis=0)  # what all share hangs on how wide edges are taken to be, a hundredth of a pixel at these few frames
+    z = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(covariance), apart)
+    assert np.abs(off[:, :3]).max() < 1e-4 and np.abs(off[:, 3:]).max() < 2e-4 and z.mean() < 2 * 6
+    for sight in sights[last]:  # markers that ought to be seen, struts aside, are
+        ought, read = set(sight.expected["cam0"]), set(sight.detections["cam0"].marker.tolist())
+        assert len(ought) >= 6 and len(ought & read) > 0.6 * len(ought)
