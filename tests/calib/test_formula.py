@@ -31,6 +31,7 @@ from rig.effects.written import Term, Written
 from rig.errors import FileError
 from tests.calib import laws
 from tests.calib.physical import measured_by
+from tests.calib.recorded import recorded
 from tests.calib.test_diagnose_arm import recorded as arm_recorded
 from tests.rig.test_effects_everywhere import context_of, setting_of
 
@@ -236,3 +237,48 @@ def test_what_was_suggested_is_found_calibrated_and_undone(tmp_path, measured, m
     assert 5e-6 < np.ptp(done - plain) < 1e-3
     (tmp_path / "swing.py").write_text((tmp_path / "swing.py").read_text() + "# edited\n")
     assert main([*correct, "--effects", "swing.py", "--force"]) == 1 and "is not as it was when" in capsys.readouterr().err
+
+
+MOUNTED = '''"""A mount that swings."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rig.effects.base import Effect, Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Swing(Effect):
+    """The camera turns about its own z by size * sin(frequency * t)."""
+
+    place: str
+    size: float = 0.0
+    frequency: float = 0.05
+    name: ClassVar = "swing"
+    stage: ClassVar = "view"
+    places: ClassVar = ("camera",)
+    parameters: ClassVar = (Parameter("size", "rad", (-0.1, 0.1), (1e-5, 1e-3), signed=True),
+                            Parameter("frequency", "rad/s", (1e-3, 1), (0.03, 0.08), role="log"))
+    experiment: ClassVar = "look at cubes that stand still"
+    action: ClassVar = "Tighten it."
+
+    def mount(self, camera, t, channel):
+        turn = np.zeros((len(t), 6))
+        turn[:, 5] = self.size * np.sin(self.frequency * t) * self.at(f"camera {camera.name}")
+        return turn
+'''
+
+
+@pytest.mark.slow
+def test_a_camera_may_have_an_effect_of_ones_own(tmp_path, design):
+    (tmp_path / "swing.py").write_text(MOUNTED)
+    (kind,) = load(tmp_path / "swing.py").kinds
+    place = f"camera {design.cameras[1].name}"
+    recording = recorded(tmp_path / "rec", design, (kind(place, 2e-4, 0.047),), route="sobol:60")
+    point = of_recording(recording)[0]
+    selection = select(PlatformProblem(point, platform_candidates(point, Asked(("swing",), (), (kind,)))[0]))
+    (found,) = selection.findings
+    effect = selection.fit.refined.point.effects[found.number]
+    assert effect.place == place and effect.size == pytest.approx(2e-4, rel=0.1) and effect.frequency == pytest.approx(0.047, rel=0.02)

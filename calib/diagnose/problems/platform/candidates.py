@@ -50,7 +50,8 @@ class PlatformCandidate(Candidate):
             return Reach.SPECTRUM
         if not self.seen_alone:
             return Reach.AXES
-        return Reach.MOUNT if self.kind.mount is not Effect.mount else Reach.VIEW
+        whole = [column.entry for column in self.spec.linear] == list(range(6))  # its columns are the six of one motion
+        return Reach.MOUNT if self.kind.mount is not Effect.mount and whole else Reach.VIEW
 
     @property
     def profile(self) -> bool:

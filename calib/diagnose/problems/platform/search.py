@@ -174,10 +174,11 @@ def _share(model: LinearisedModel, candidate: PlatformCandidate, node: Node) -> 
 
 
 def _viewed(model: LinearisedModel, candidate: PlatformCandidate, sensitivities: Sensitivities, least: float) -> PlatformScore:
-    rows, quads = sensitivities.seen(candidate, candidate.grid[0])
-    solved = inner.solve(lasting(model, *sensitivities.touched(rows, quads)))
-    if solved.delta_chi2[0] < least:
-        return unlikely(candidate, solved, 0)
-    products = corner_products(model, sensitivities.corners(rows, quads))
+    seen = [sensitivities.seen(candidate, node) for node in candidate.grid]
+    solved = Solved.of([inner.solve(lasting(model, *sensitivities.touched(rows, quads))) for rows, quads in seen])
+    best = int(np.argmax(solved.delta_chi2 - solved.rank * np.log(model.size)))
+    if solved.delta_chi2[best] < least:
+        return unlikely(candidate, solved, best)
+    products = corner_products(model, sensitivities.corners(*seen[best]))
     weights = np.broadcast_to(np.eye(products.beta.shape[1]), products.gamma.shape)
-    return at_node(model.linear, candidate, 0, candidate.grid[0], solved, products, weights)
+    return at_node(model.linear, candidate, best, candidate.grid[best], solved, products, weights)
