@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import add_force, file_or_stdout
+from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def arguments(parser: ArgumentParser) -> None:
                         "deviation); by default as is likeliest")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -67,6 +68,11 @@ def run(arguments: Namespace) -> None:
     if out:
         _write(out, record.motion.t, seen, plain)
     _tell(record, seen, plain, rates, arguments.rate is None)
+    settled = slice(int(SETTLED * len(record.motion.t)), None)
+    value, sigma = seen.value[0][settled], np.sqrt(np.einsum("kii->ki", seen.covariance[0][settled]))
+    arguments.result = {"schema": "wrench/1", "order": "fx fy fz mx my mz, N and N m, axes of poses", "readings": len(record.motion.t),
+                        "mean": value.mean(axis=0).tolist(), "largest": value[np.abs(value).argmax(axis=0), np.arange(6)].tolist(),
+                        "sigma_rms": np.sqrt((sigma**2).mean(axis=0)).tolist(), "wanders_per_s": rates.tolist(), "innovation": float(seen.innovation)}
     if out:
         print(f"written: {arguments.out}")
 

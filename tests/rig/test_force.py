@@ -9,13 +9,14 @@ from scipy.optimize import linprog
 from scipy.stats import chi2
 
 from rig import cli, dynamics_file, table
+from rig.commands.wrench import SETTLED
 from rig.errors import FileError, RigError
 from rig.mechanisms import arm as mechanism
 from rig.mechanisms import dynamics, momentum
 from rig.pose import difference
 from rig.posture import exertion, motion, observer, search
 from rig.posture.exertion import Exertion, Strength
-from rig.posture.measure import Wish
+from rig.posture.measure import DIRECTIONS, Wish
 from tests.numeric import jacobian
 from tests.rig.arms import UR10, configurations
 
@@ -200,10 +201,14 @@ def test_the_command_tells_the_wrench_beside_the_plain_one(tmp_path, capsys):
     rig.write_text(text + "torque_constants = 2.0\ntorque_sigma = 0.1\nangle_sigma = 1e-5\nspeed_sigma = 2e-3\n")
     for columns, scale in (("tau", 1.0), ("i", 2.0)):
         torque_file(tmp_path / "torques.csv", made, columns, scale)
-        assert cli.main(["wrench", str(rig), str(tmp_path / "torques.csv"), "--rate", "20", "2", "--out", str(out)]) == 0
-        said = capsys.readouterr().out
+        assert cli.main(["wrench", str(rig), str(tmp_path / "torques.csv"), "--rate", "20", "2", "--out", str(out), "--json"]) == 0
+        printed, said = capsys.readouterr()
+        result = json.loads(printed)
         assert ("motor currents" in said) == (columns == "i") and "weight and motion taken off" in said
         rows = table.read(out, ("t", "fx"))
+        late = rows.matrix(DIRECTIONS)[int(SETTLED * 250):]
+        np.testing.assert_allclose(result["mean"], late.mean(axis=0), atol=1e-4)
+        np.testing.assert_allclose(np.abs(result["largest"]), np.abs(late).max(axis=0), atol=1e-4)
         for part in ("", "plain_"):
             told, sigma = (rows.matrix([f"{part}{name}" for name in names])[25:] for names in (("fx", "fy", "fz"), ("c00", "c11", "c22")))
             share = (np.abs(told - made[4][0][25:, :3]) < 2 * np.sqrt(sigma)).mean()
