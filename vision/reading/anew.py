@@ -18,7 +18,7 @@ from vision.corners.spread import PLAIN
 from vision.reading.collect import Collected, by_image, corners_of, in_parallel
 from vision.targets import MarkerMap
 
-SETTLED = 1e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
+SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
 ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what the one before was off by
 STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
 
