@@ -82,8 +82,11 @@ def test_exports_are_written_or_refused(rig_file, tmp_path, capsys):
     assert "setp genhexkins.base.0.x 291.1" in out.read_text() and "setp offset.5.offset" in out.read_text()
     assert main(["export", str(rig_file), "--format", "csv"]) == 0
     assert "strut,base_x" in capsys.readouterr().out
-    assert main(["export", str(rig_file), "--format", "urdf"]) == 1
-    assert "kind 'hexapod'" in capsys.readouterr().err
+    assert main(["export", str(rig_file), "--format", "urdf"]) == 0
+    assert capsys.readouterr().out.startswith("<?xml")
+    assert main(["design", "--arm", "scara", "--out", str(tmp_path / "arm.toml")]) == 0
+    assert main(["export", str(tmp_path / "arm.toml"), "--format", "sdf"]) == 1
+    assert "sdf takes a mechanism of kind hexapod" in capsys.readouterr().err
     assert main(["export", str(tmp_path / "typo.json"), "--format", "json"]) == 1
     assert "typo.json: no such file" in capsys.readouterr().err
 
