@@ -27,6 +27,7 @@ docs: .venv/.runs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: setup
+	$(BIN)/python -m tests.compiled
 	$(BIN)/python -m pytest -q -n auto
 
 test-slow: setup

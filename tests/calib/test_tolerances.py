@@ -91,6 +91,7 @@ def test_tolerances_are_projected_as_their_columns_written_out(tmp_path, design)
     assert short.gram == pytest.approx(written.gram, abs=1e-9 * np.abs(written.gram).max())
 
 
+@pytest.mark.slow
 def test_the_share_that_is_left_beside_tolerances_is_that_of_a_search_beside_them(tmp_path, design):
     point = of_recording(recorded(tmp_path, design, ["backlash:strut2:gap=6e-5"], 11, ROUTE, 0.03))[0]
     model, sensitivities = linearise(point), Sensitivities(point)

@@ -5,6 +5,7 @@ import shutil
 from decimal import Decimal
 
 import numpy as np
+import pytest
 
 from rig import recording
 from tests.conftest import BENCH
@@ -26,6 +27,7 @@ def theirs(folder):
     (folder / "log.csv").write_text("\n".join(lines), encoding="utf-8-sig")
 
 
+@pytest.mark.slow
 def test_twenty_images_become_a_calibration(tmp_path):
     theirs(tmp_path)
     status, text = said("import", tmp_path / "pictures", "--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv",

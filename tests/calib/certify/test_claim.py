@@ -115,6 +115,7 @@ def test_repeats_make_no_claim_better_than_its_configurations(design):
     assert at_poses(design, 5, 60, 0)[0].after[0][0] < claims[1].after[0][0]
 
 
+@pytest.mark.slow
 def test_claims_cover_what_is_found_elsewhere(design):
     rng, inside = np.random.default_rng(0), []
     for seed in range(20):
