@@ -15,8 +15,9 @@ from rig.effects.print_scale import PrintScale
 from rig.effects.time_offset import TimeOffset
 from rig.mistakes import Mistake, in_order, lengths
 from rig.recording import Commands
+from tests.mistakes.cases import Case
 from tests.mistakes.good import make, recorded
-from tests.mistakes.matrix import CASES, Case
+from tests.mistakes.matrix import CASES
 
 QUICK = ("lengths in mm", "struts in another order", "frames in ms", "frames an hour late", "u and v exchanged", "camera poses exchanged",
          "markers 1.5 % small", "gravity upwards", "temperatures in Kelvin", "an unused camera", "edge and marker exchanged", "ids off by one",

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 from scipy.special import ndtr
 
-from tests.vision.corners.test_detect import NAME, sheet
+from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
 from vision.corners.detect import Read, place
 from vision.corners.pattern import GRID
