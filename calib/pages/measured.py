@@ -11,7 +11,7 @@ from calib.pose_figures import coverage
 from rig.page.document import Link, Page, State, Verdict, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, listed, note, paragraph, table
-from rig.page.plane import Arrows, Cells, image_plane
+from rig.page.plane import Arrows, Cells, image_plane, patches
 from rig.pose import vector
 from rig.recording import Recording
 from vision.bundle.crossvalidate import HeldOut, NotHeldOut
@@ -133,14 +133,11 @@ def _residual_map(m: Measurement, i: int) -> str:
         return image_plane(camera.name, "no corners", size, ())
     uv, r = m.observations.uv[rows], m.residuals[rows]
     cell = camera.width / CELLS
-    keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
-    mean = np.stack([np.bincount(index, weights=r[:, c]) / count for c in range(2)], axis=1)
-    centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
-    enough = count >= 5
-    rms = np.sqrt(np.bincount(index, weights=(r**2).sum(axis=1)) / count / 2)
-    longest = max(float(np.linalg.norm(mean[enough], axis=1).max(initial=0)), 1e-6)
+    centre, means = patches(uv, np.column_stack([r, (r**2).sum(axis=1) / 2]), cell)
+    mean, rms = means[:, :2], np.sqrt(means[:, 2])
+    longest = max(float(np.linalg.norm(mean, axis=1).max(initial=0)), 1e-6)
     return image_plane(f"{camera.name}: {rows.sum()} corners", f"longest arrow {longest:.3f} px", size,
-                       (Cells(centre[enough], rms[enough], cell, "px RMS"), Arrows(centre[enough], mean[enough], 1.2 * cell / longest, "px", 3)))
+                       (Cells(centre, rms, cell, "px RMS"), Arrows(centre, mean, 1.2 * cell / longest, "px", 3)))
 
 
 def _uncertainty(m: Measurement, position: np.ndarray, rotation: np.ndarray) -> str:

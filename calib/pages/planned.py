@@ -19,13 +19,12 @@ from rig.pose import vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Planned:
-    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells; figures : of its own, HTML"""
+    """A plan. design; values : (n, axes) m or rad in their order; verdict : on it; said : lines on what it tells"""
 
     design: Design
     values: np.ndarray
     verdict: Verdict
     said: Sequence[str]
-    figures: Sequence[str] = ()
 
 
 def planned_page(path: Path | str, file: str, p: Planned, links: Sequence[Link] = ()) -> None:
@@ -37,7 +36,7 @@ def planned_page(path: Path | str, file: str, p: Planned, links: Sequence[Link] 
     axes = panels(*(panel(name, ("configuration", unit), [Series(n, p.values[:, i] * scale)])
                     for i, (name, (scale, unit)) in enumerate(zip(mechanisms.places(mechanism), scales))))
     said = [listed(p.said[1:])] if p.said[1:] else []
-    parts = [*said, *p.figures, heading("In three dimensions"), *view(stage(p.design, n, T, p.values)), heading("Where it goes"),
+    parts = [*said, heading("In three dimensions"), *view(stage(p.design, n, T, p.values)), heading("Where it goes"),
              coverage(vector(T)), heading("Axis by axis"), axes]
     steps = [f"Drive it: `rig run RIG.toml --plan commands:{file} --out REC`",
              f"Or try it first: `rig simulate RIG.toml --plan commands:{file} --out REC`"]

@@ -45,7 +45,7 @@ def verified_page(path: Path | str, name: str, v: Verified, links: Sequence[Link
     errors = {"owner's model": -v.before, "corrected": -v.after}
     parts = [paragraph(floor)] if np.isfinite(v.held.floor).all() else []
     if v.driven is not None:
-        parts += [heading("Wanted poses against measured ones"), _driven(v)]
+        parts += [heading("Wanted poses against measured ones"), _driven(v.samples.frame, *v.driven)]
     parts += [heading("Before and after, pose by pose"), before_after(v.before, v.after, v.samples.frame), _figures(v.held),
               heading("In three dimensions"), *view(stage(v.design, v.samples.frame, v.samples.T_base_platform, v.samples.commanded, errors)),
               heading("Where it went"), coverage(vector(v.samples.T_base_platform))]
@@ -80,11 +80,7 @@ def to_do(v: Verified) -> list[str]:
     return ["State what is kept, with what confidence: `rig certify calibration.json REC --out certificate.html`"]
 
 
-def _driven(v: Verified) -> str:
-    if v.driven is None:
-        return ""
-    figures, stated, errors = v.driven
-    frames = v.samples.frame
+def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], errors: np.ndarray) -> str:
     rows = [("position", *(f"{value * 1e3:.4f} mm" for value in (*figures.position, stated[0]))),
             ("rotation", *(f"{value * 1e3:.4f} mrad" for value in (*figures.rotation, stated[1])))]
     seen = [(part, label) for part, label in ((slice(0, 3), "off, mm"), (slice(3, 6), "off, mrad")) if np.isfinite(errors[:, part]).all()]

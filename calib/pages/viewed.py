@@ -1,6 +1,7 @@
 """The page of a recording in three dimensions: its poses as measured, or as commanded, and what effects would do to them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,34 +14,35 @@ from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.page.document import Link, Page, State, Verdict, write
 from rig.page.parts import heading, listed
+from rig.page.stage import Effect as Played
 from rig.page.stage import scripts, view
 from rig.pose import difference, vector
 from rig.recording import Recording
 
 
 def viewed_page(path: Path | str, recording: Recording, effects: Sequence[Effect] = (), links: Sequence[Link] = ()) -> None:
-    """Write the page of a recording that has poses, commands or both. effects : to be tried on it, each by itself
+    """Write the page of a recording by its poses, its commands or both. effects : to be tried on it, each by itself
 
-    Raises RigError for effects on a recording without commands, and as their models do
+    Raises RigError for a recording with neither, for effects on one without commands, and as their models do
     """
-    design, values, errors = recording.design, None, {}
-    frames = recording.commanded()[0] if recording.commands is not None else np.zeros(0, int)
+    design, poses, values = recording.design, recording.poses, None
+    errors: dict[str, np.ndarray] = {}
+    tried: list[Played | None] = []
     if recording.commands is not None:
         frames, t, values = recording.commanded()
         T = mechanisms.of(design.mechanism).forward(values, design.mechanism)
+        tried = [played(design, recording.commands, t, (effect,), 0, recording.sensors) for effect in effects]
+        if poses is not None:
+            at, by_model = np.searchsorted(frames, poses.frame), T
+            frames, values, T = frames[at], values[at], poses.T_base_platform
+            errors = {"the model in rig.toml, from what was measured": difference(T, by_model[at])}
+            tried = [one and replace(one, shifts=one.shifts[:, at]) for one in tried]
+    elif poses is None:
+        raise RigError(f"{recording.folder} has neither poses.csv nor commands.csv, so there is no pose to show; `rig measure` finds poses")
     elif effects:
         raise RigError(f"{recording.folder} has no commands.csv, and effects act on what is commanded")
-    tried = [played(design, recording.commands, t, (effect,), 0, recording.sensors) for effect in effects] if recording.commands else []
-    if recording.poses is not None:
-        known = np.isin(recording.poses.frame, frames)
-        if recording.commands is not None and known.any():
-            at = np.searchsorted(frames, recording.poses.frame[known])
-            by_model = T[at]
-            tried = [one and type(one)(one.name, one.sizes, one.shifts[:, at]) for one in tried]
-            frames, values, T = frames[at], values[at] if values is not None else None, recording.poses.T_base_platform[np.flatnonzero(known)]
-            errors = {"the model in rig.toml, from what was measured": difference(T, by_model)}
-        else:
-            frames, T = recording.poses.frame, recording.poses.T_base_platform
+    else:
+        frames, T = poses.frame, poses.T_base_platform
     still = [f"{effect.label()} at {effect.place} moves no platform: it acts on what cameras see"
              for effect, one in zip(effects, tried) if one is None]
     shown = stage(design, frames, T, values, errors, tuple(one for one in tried if one is not None))

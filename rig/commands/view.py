@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, near, read_recording
 from rig.errors import RigError
-
-if TYPE_CHECKING:
-    from rig.recording import Recording
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -65,20 +61,13 @@ def _frame(arguments: Namespace) -> None:
 def _page(arguments: Namespace) -> None:
     from rig.effects.parse import parse
 
-    recording, effects = _moving(read_recording(arguments)), [parse(text) for text in arguments.effect]
+    recording, effects = read_recording(arguments), [parse(text) for text in arguments.effect]
     out = arguments.outputs.file(arguments.page)
 
     from calib.pages.viewed import viewed_page
 
     viewed_page(out, recording, effects, near(arguments, arguments.page))
     print(f"written: {arguments.page}")
-
-
-def _moving(recording: Recording) -> Recording:
-    """The recording. Raises RigError for one that has neither poses nor commands to show."""
-    if recording.poses is None and recording.commands is None:
-        raise RigError(f"{recording.folder} has neither poses.csv nor commands.csv, so there is no pose to show; `rig measure` finds poses")
-    return recording
 
 
 def _rerun(arguments: Namespace) -> None:

@@ -11,6 +11,7 @@ from rig.page.svg import TEXT, WIDTH, hover, svg, text
 TOP = TEXT + 11.0
 Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
 MOST = 3000  # arrows that are drawn: of more, evenly chosen ones
+FEWEST = 5  # values of a patch that is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,16 @@ def image_plane(title: str, below: str, size: tuple[float, float], layers: Seque
         parts.append(f'<path class="specks" d="{d}"/>')
     parts.append(text(4, TOP + tall + 17, below))
     return svg(int(TOP + tall + 24), f"{title}: {below}", parts)
+
+
+def patches(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """(centres (c, 2), means (c, k)) of values (n, k) at places uv (n, 2) >= 0, over square cells, sized in uv's unit, that hold FEWEST or more."""
+    keys, index, count = np.unique((uv // cell).astype(int) @ [1, 1000], return_inverse=True, return_counts=True)
+    centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
+    total = np.zeros((len(keys), values.shape[1]))
+    np.add.at(total, index, values)
+    enough = count >= FEWEST
+    return centre[enough], total[enough] / count[enough, None]
 
 
 def _cells(cells: Cells, placed: Placed, scale: float) -> list[str]:

@@ -46,7 +46,8 @@ def ask(page, path, method="GET", host=None, token=True, headers=()):
 
 
 def test_who_has_the_token_sees_the_page_and_nothing_leads_elsewhere(page):
-    for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/view3d.js", "text/javascript"), ("/page.css", "text/css")):
+    for path, kind in (("/", "text/html"), ("/page.js", "text/javascript"), ("/view3d.js", "text/javascript"), ("/page.css", "text/css"),
+                       ("/theme.css", "text/css")):
         status, headers, body = ask(page, path)
         assert status == 200 and headers["Content-Type"].startswith(kind) and body
         assert b"http://" not in body.replace(b"http://www.w3.org/2000/svg", b"") and b"https://" not in body

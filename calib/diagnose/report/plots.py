@@ -10,7 +10,7 @@ from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.report.drawing import AFTER, BEFORE, scatter
 from rig.effects.base import REFERENCE_TEMPERATURE, Effect
 from rig.page.figure import bars, panels
-from rig.page.plane import Arrows, image_plane
+from rig.page.plane import Arrows, image_plane, patches
 
 CELLS = 14  # of a residual map, across the image
 
@@ -150,12 +150,8 @@ def residual_map(k: OperatingPoint, own: np.ndarray, both: tuple[np.ndarray, ...
     o = k.observed.observations
     camera = k.design.cameras[o.camera[own[0]]]
     cell = camera.width / CELLS
-    key = (o.uv[own] // cell).astype(int) @ [1, 1000]
-    keys, count = np.unique(key, return_counts=True)
-    centre = np.stack([keys % 1000, keys // 1000], axis=1) * cell + cell / 2
-    means = [_mean(key, values[own]) for values in both]
-    enough = count >= 5
-    longest = max(float(np.linalg.norm(means[0][enough], axis=1).max(initial=0)), 1e-9)
+    drawn = [patches(o.uv[own], values[own], cell) for values in both]
+    longest = max(float(np.linalg.norm(drawn[0][1], axis=1).max(initial=0)), 1e-9)
     return panels(*(image_plane(f"{camera.name}, {title}", f"longest arrow of both {longest:.3g} px", (camera.width, camera.height),
-                                (Arrows(centre[enough], mean[enough], 1.2 * cell / longest, "px", colour),))
-                    for mean, title, colour in zip(means, titles, (BEFORE, AFTER))))
+                                (Arrows(centre, mean, 1.2 * cell / longest, "px", colour),))
+                    for (centre, mean), title, colour in zip(drawn, titles, (BEFORE, AFTER))))

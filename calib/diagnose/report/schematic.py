@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
+from calib.scene import ring
 from rig.design import Camera, Hexapod, Planar2
 from rig.page.svg import WIDTH, hover, svg, text
 from rig.pose import transform_points
@@ -97,10 +98,9 @@ def flat(points: np.ndarray) -> np.ndarray:
 
 def _hexapod(drawn: Outline, m: Hexapod, T: RigidTransform, colour: Colour) -> None:
     tops = transform_points(T, m.platform_joints)
-    for joints in (m.base_joints, tops):
-        around = np.argsort(np.arctan2(*(joints - joints.mean(axis=0))[:, 1::-1].T))
-        drawn.patch(joints[around], "plate")
-        drawn.line(joints[np.r_[around, around[0]]], colour("rig"))
+    for around in (np.array(ring(joints)) for joints in (m.base_joints, tops)):
+        drawn.patch(around[:-1], "plate")
+        drawn.line(around, colour("rig"))
     for i in range(6):
         c = colour(f"strut {i + 1}", "rig")
         drawn.line([m.base_joints[i], tops[i]], c, f"strut {i + 1}")
