@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.controller import Controller
+from rig.controller import PROTOCOLS, Controller
 from rig.emulator.build import home_lengths
 from rig.recording import Commands, Sensors
+from tests.rig.judge import bench
 
 
 @pytest.fixture(scope="module")
@@ -32,3 +33,17 @@ def driven_design(design):
         max_acceleration=np.full(6, 0.1), tolerance=1e-5, max_step=None, margin=0.1, timeout=2.0, home_timeout=120.0, watchdog=1.0,
         kinematics="joint", password="EMC", enable_password="EMCTOO")
     return replace(design, controller=controller)
+
+
+@pytest.fixture(params=PROTOCOLS)
+def protocol(request):
+    return request.param
+
+
+@pytest.fixture
+def ready(driven_design, protocol):
+    """(driver, emulator, clock, home lengths) of a rig that is homed."""
+    driver, emulator, clock = bench(driven_design, protocol, (), 1)
+    driver.open()
+    driver.home()
+    return driver, emulator, clock, home_lengths(driven_design.mechanism)

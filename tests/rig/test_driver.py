@@ -1,48 +1,22 @@
 """The driver against emulators of every protocol: what it refuses, what it recovers, what it stops at, and that nothing runs twice."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rig.clock import SimulatedClock
-from rig.controller import PROTOCOLS
 from rig.driver import Driver
 from rig.emulator.build import home_lengths
-from rig.emulator.faults import ALWAYS, KINDS, Order
-from rig.emulator.port import EmulatorPort
-from rig.errors import ControllerFault, LinkLost, MotionError, PositionLost, RigError, Stalled, Stopped, Unreachable
+from rig.emulator.faults import ALWAYS, KINDS
+from rig.errors import ControllerFault, MotionError, PositionLost, RigError, Stalled, Unreachable
+from tests.rig.driven import STEP, order, truly
 from tests.rig.judge import bench, judged
 
-STEP = np.array([1, -1, 1, 0.5, 0.25, -1]) * 1e-3
-SLOW = np.full(6, 2e-4)  # m/s; homing takes ten seconds
 RECOVERED = ("lost-ok", "two-ok", "resend", "resend-moving", "late", "half-line", "garbage", "early-stop", "unplug", "buffer-128")
 STOPPED = {"runs-after-error": ControllerFault, "reset-ignored": ControllerFault, "done-in-error": ControllerFault, "stall": Stalled,
            "restart": (PositionLost, ControllerFault)}
 OTHERWISE = ("ok-after-error", "stale-alarm", "homes-on", "drift", "buffer-64")
-
-
-@pytest.fixture(params=PROTOCOLS)
-def protocol(request):
-    return request.param
-
-
-@pytest.fixture
-def ready(driven_design, protocol):
-    """(driver, emulator, clock, home lengths) of a rig that is homed."""
-    driver, emulator, clock = bench(driven_design, protocol, (), 1)
-    driver.open()
-    driver.home()
-    return driver, emulator, clock, home_lengths(driven_design.mechanism)
-
-
-def order(emulator, *kinds):
-    emulator.faults.orders.extend(Order(kind, None) for kind in kinds)
-
-
-def truly(emulator, clock):
-    return emulator.machine.axes.at(clock.now())
 
 
 def test_every_kind_of_fault_is_tried_here():
@@ -117,19 +91,6 @@ def test_a_zero_that_wanders_is_noticed_before_the_next_move(ready):
     driver.move(home + STEP)
 
 
-def test_a_homing_that_fails_stops_the_axes_that_home_on(driven_design, protocol):
-    driver, emulator, clock = bench(driven_design, protocol, ("homes-on",), 1)
-    driver.open()
-    with pytest.raises(ControllerFault, match="homing failed"):
-        driver.home()
-    stood = truly(emulator, clock)
-    assert np.abs(stood - home_lengths(driven_design.mechanism)).max() > 1e-4  # it was on its way
-    clock.sleep(10)
-    np.testing.assert_allclose(truly(emulator, clock), stood, atol=1e-9)
-    with pytest.raises(MotionError):
-        driver.move(stood)
-
-
 @pytest.mark.parametrize("size", [64, 128])
 def test_a_small_receive_buffer_makes_no_other_move(driven_design, protocol, size):
     driver, emulator, clock = bench(driven_design, protocol, (f"buffer-{size}",), 1)
@@ -202,154 +163,6 @@ def test_a_position_in_alarm_is_not_believed_though_nothing_can_home(driven_desi
     with pytest.raises(PositionLost, match="--trust"):
         driver.move(home_lengths(driven_design.mechanism))
     assert not emulator.machine.executed
-
-
-def test_an_interrupt_stops_a_rig_that_homes(driven_design, protocol, monkeypatch):
-    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW)
-    driver.open()
-    sleep = clock.sleep
-
-    def interrupted(seconds):
-        if emulator.machine.homing(clock.now()):
-            monkeypatch.setattr(clock, "sleep", sleep)
-            raise KeyboardInterrupt
-        sleep(min(seconds, 0.05))
-
-    monkeypatch.setattr(clock, "sleep", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        driver.home()
-    _stands_before_home(driver, emulator, clock, driven_design)
-
-
-def test_a_rig_that_homes_for_another_process_is_stopped(driven_design, protocol):
-    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW)
-    emulator.machine.start_homing(clock.now())
-    clock.sleep(0.01)
-    assert driver.open(stopping=True).activity != "homing"
-    _stands_before_home(driver, emulator, clock, driven_design)
-
-
-def test_a_rig_that_moves_for_another_process_is_stopped_and_keeps_its_position(ready):
-    driver, emulator, clock, home = ready
-    emulator.machine.go(clock.now(), emulator.machine.counters(clock.now()) + 8e-3, 1.0)
-    clock.sleep(0.3)
-    other = Driver(driver.design, clock, lambda: EmulatorPort(emulator, clock))
-    status = other.open(stopping=True)
-    assert status.activity == "idle" and status.known
-    stood = truly(emulator, clock)
-    clock.sleep(10)
-    np.testing.assert_allclose(truly(emulator, clock), stood, atol=1e-9)
-    assert np.abs(stood - home - 8e-3).max() > 1e-3
-    np.testing.assert_allclose(status.lengths, stood, atol=1e-6)
-
-
-def test_homing_that_takes_too_long_is_stopped(driven_design, protocol):
-    driver, emulator, clock = bench(driven_design, protocol, (), 1, max_speed=SLOW, home_timeout=0.5)
-    driver.open()
-    with pytest.raises(ControllerFault, match="0.5 s"):
-        driver.home()
-    _stands_before_home(driver, emulator, clock, driven_design)
-
-
-def _stands_before_home(driver, emulator, clock, design):
-    clock.sleep(10)
-    assert np.abs(truly(emulator, clock) - home_lengths(design.mechanism)).max() > 1e-4
-    status = driver.status()
-    assert not status.known and status.activity in ("idle", "alarm", "off")
-
-
-def test_an_interrupt_from_the_keyboard_stops_the_struts(ready, monkeypatch):
-    driver, emulator, clock, home = ready
-    sleep, end = clock.sleep, clock.now() + 0.2
-
-    def interrupted(seconds):
-        if clock.now() > end:
-            monkeypatch.setattr(clock, "sleep", sleep)
-            raise KeyboardInterrupt
-        sleep(seconds)
-
-    monkeypatch.setattr(clock, "sleep", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        driver.move(home + 10 * STEP)
-    stood = truly(emulator, clock)
-    clock.sleep(10)
-    assert np.abs(stood - home).max() < 9e-3 and np.allclose(truly(emulator, clock), stood, atol=1e-9)
-    driver.move(home) if driver.status().known else driver.home()
-
-
-def test_a_stop_from_another_thread_ends_the_move(ready, monkeypatch):
-    driver, emulator, clock, home = ready
-    sleep, asked, stopped = clock.sleep, threading.Event(), []
-
-    def watched(seconds):
-        sleep(seconds)
-        if emulator.machine.executed and not asked.is_set():
-            asked.set()
-            thread = threading.Thread(target=lambda: stopped.append(driver.stop()))
-            thread.start()
-            while not driver.link._stop.is_set():
-                thread.join(1e-4)
-            watched.thread = thread
-
-    monkeypatch.setattr(clock, "sleep", watched)
-    with pytest.raises(Stopped):
-        driver.move(home + 10 * STEP)
-    watched.thread.join(10)
-    assert len(stopped) == 1 and stopped[0].activity != "moving"
-    assert np.abs(truly(emulator, clock) - home).max() < 9e-3 and len(emulator.machine.executed) == 1
-
-
-def test_a_controller_that_starts_anew_between_moves_is_noticed(ready):
-    driver, emulator, clock, home = ready
-    driver.move(home + STEP)
-    emulator.power_cycle()
-    with pytest.raises((PositionLost, ControllerFault)):
-        driver.move(home)
-    assert len(emulator.machine.executed) == 1 and not driver.status().known
-    if driver.status().activity == "off":
-        driver.unlock()
-    driver.home()
-    driver.move(home + STEP)
-    np.testing.assert_allclose(truly(emulator, clock), home + STEP, atol=1e-6)
-
-
-def test_a_line_that_stays_cut_is_an_error_in_bounded_time(ready):
-    driver, emulator, clock, home = ready
-    emulator.unplug(1e6)
-    begun = clock.now()
-    with pytest.raises(LinkLost, match="unplugged"):
-        driver.move(home + STEP)
-    assert clock.now() - begun < 60 and not emulator.machine.executed
-
-
-def test_a_port_that_comes_back_under_another_name_is_found(driven_design, monkeypatch):
-    from types import SimpleNamespace
-
-    from rig.port import found
-    from serial.tools import list_ports
-
-    driver, emulator, clock = bench(driven_design, "struts", (), 1)
-    opened, here = [], lambda name: [SimpleNamespace(device=name, serial_number="A9", hwid="USB VID:PID=2341:0042 SER=A9 LOCATION=1-2"),
-                                     SimpleNamespace(device="/dev/ttyS0", serial_number=None, hwid="n/a")]
-
-    def opener():
-        name = f"/dev/ttyACM{emulator.replugged}" if emulator.plugged else "/dev/none"
-        monkeypatch.setattr(list_ports, "comports", lambda: here(name))
-        opened.append(found("/dev/ttyACM0", "A9"))
-        return EmulatorPort(emulator, clock)
-
-    driver = Driver(driven_design_with(driven_design, "struts"), clock, opener)
-    driver.open()
-    driver.home()
-    order(emulator, "unplug")
-    driver.move(home_lengths(driven_design.mechanism) + STEP)
-    assert opened[0] == "/dev/ttyACM0" and opened[-1] == "/dev/ttyACM1" and found("x", "2341:0042") == "/dev/ttyACM1"
-    with pytest.raises(LinkLost, match="0 ports answer"):
-        found("/dev/ttyACM0", "B7")
-
-
-def driven_design_with(design, protocol):
-    return replace(design, controller=replace(design.controller, protocol=protocol))
 
 
 def test_poses_for_a_controller_with_its_own_kinematics(driven_design):

@@ -1,101 +1,14 @@
 """The operator's loop: what it leaves is a recording; killed at any instant it goes on from where the struts stand, and no move is repeated."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from rig import design_file, layout, recording
-from rig.cameras.settled import settling
-from rig.cameras.source import CameraError, Frame
-from rig.cameras.together import Shutter
-from rig.clock import SimulatedClock
 from rig.errors import ControllerFault, RigError, Stopped, Unreachable
-from rig.journal import Arrival, Began, Departure, Ended, Exposed, Journal, Resumed, read
-from rig.operate import Bench, Operator
+from rig.journal import Arrival, Departure, Ended, Exposed, Resumed, read
 from rig.plan import build
 from rig.steps import check, steps
-from rig.way import trapezoid
-
-SPEED, RAMP = 0.05, 0.2  # m/s, s
-AXES = tuple(f"l{i}" for i in range(1, 7))
-
-
-class Killed(BaseException):
-    """kill -9: no handler runs."""
-
-
-class Instants:
-    """Counts instants, and kills at one of them. at : which, or None; wound : whether a row under way is torn"""
-
-    def __init__(self):
-        self.count, self.at = 0, None
-
-    def pass_(self):
-        self.count += 1
-        if self.count == self.at:
-            raise Killed
-
-
-class Struts:
-    """A machine that outlives whoever drives it. visits : what it was told to go to; half : whether a killed driver's move stops half way"""
-
-    def __init__(self, clock, instants, start):
-        self.clock, self.instants, self.at, self.visits, self.half, self.stops = clock, instants, np.array(start, float), [], False, 0
-
-    def lengths(self):
-        self.instants.pass_()
-        return self.at + 1e-7 * np.sin(self.clock.now())
-
-    def move(self, goal):
-        self.instants.pass_()
-        self.visits.append(goal.copy())
-        start, self.at = self.at, goal.copy()
-        try:
-            self.instants.pass_()
-        except Killed:
-            self.at = start + 0.4 * (goal - start) if self.half else goal.copy()
-            raise
-        self.clock.sleep(np.abs(goal - start).max() / SPEED + RAMP)
-        self.instants.pass_()
-
-    def home(self):
-        self.at = self.at * 0 + 0.45
-
-    def stop(self):
-        self.stops += 1
-
-
-class Eye:
-    name, can_set_exposure = "cam0", False
-
-    def __init__(self, clock, instants):
-        self.clock, self.instants, self.fails = clock, instants, 0
-
-    def grab(self):
-        self.instants.pass_()
-        if self.fails:
-            self.fails -= 1
-            raise CameraError("camera 'cam0' gives no frame")
-        self.clock.sleep(0.01)
-        return Frame(np.full((48, 64), 7, np.uint8), self.clock.now(), 1e-3)
-
-    def close(self):
-        pass
-
-
-class Onlooker:
-    def __init__(self):
-        self.rows, self.shots, self.why = [], [], ""
-
-    def happened(self, row):
-        self.rows.append(row)
-
-    def seen(self, shot):
-        self.shots.append(shot)
-
-    def stop(self):
-        return self.why
+from tests.rig.room import RAMP, SPEED, Killed, Onlooker, Room
 
 
 @pytest.fixture
@@ -104,46 +17,6 @@ def rig(tmp_path):
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "rig.toml").write_text(text)
     return design_file.load(tmp_path / "rec" / "rig.toml")
-
-
-class Room:
-    """A rig in a folder that runs are started on, one process after the other."""
-
-    def __init__(self, design, folder, plan="sobol:3,repeat:2"):
-        self.folder, self.clock, self.instants = Path(folder), SimulatedClock(1.7e9), Instants()
-        self.planned = steps(build(design, plan, 1))
-        self.struts = Struts(self.clock, self.instants, design.mechanism.strut_range.mean(axis=1) - 1e-3)
-        self.eye, self.onlooker, self.reported = Eye(self.clock, self.instants), Onlooker(), []
-
-    def save(self, path, image):
-        import cv2
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self.instants.pass_()
-        path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-
-    def process(self, end_is_told=True):
-        """One process, from the journal on, to the end or until it is killed."""
-        way = lambda start, goal, begun, ended: trapezoid(begun, ended, np.abs(goal - start).max() / SPEED, RAMP)  # noqa: E731
-        shutter = Shutter((self.eye,), self.clock)
-        bench = Bench(self.struts, shutter, self.clock, settling("time:0.5"), 1e-5, way, self.save)
-        self.onlooker = Onlooker()
-        try:
-            with Journal(self.folder / "journal.jsonl") as journal:
-                fresh = not journal.rows
-                if fresh:
-                    journal.append(Began(0.0, self.clock.now(), len(self.planned), "x", tuple(self.struts.at.tolist())))
-                origin = journal.rows[0].wall
-                operator = Operator(bench, self.planned, journal, AXES, origin, self.onlooker)
-                if not end_is_told:
-                    operator._end = lambda error: None
-                if not fresh:
-                    operator.go_on()
-                operator.run()
-        finally:
-            self.reported += [row for row in self.onlooker.rows if not isinstance(row, Arrival)]
-            shutter.close()
-        return self
 
 
 def test_a_run_is_a_recording_as_any_other(rig, tmp_path):
@@ -306,20 +179,3 @@ def test_a_journal_of_another_plan_is_refused(rig, tmp_path):
     Room(rig, tmp_path / "rec").process()
     with pytest.raises(RigError, match="plan of 8 steps, this one has 3"):
         Room(rig, tmp_path / "rec", "sobol:2").process()
-
-
-@pytest.mark.parametrize(("cruise", "ramp", "whole"), [(1.0, 0.2, 1.2), (1.0, 0.2, 1.5), (0.01, 0.2, 0.3), (1.0, None, 1.3), (1.0, None, 1.0),
-                                                       (1.0, 0.0, 1.1)])
-def test_a_trapezoid_moves_evenly_and_arrives(cruise, ramp, whole):
-    way = trapezoid(5.0, 5.0 + whole, cruise, ramp)
-    t, share = np.array([(5.0, 0.0), *way, (5.0 + whole, 1.0)]).T
-    assert (np.diff(t) > 0).all() and (np.diff(share) >= 0).all()
-    if ramp is None:
-        ramp = whole - cruise
-    moving = cruise + ramp if ramp < cruise else 2 * np.sqrt(ramp * cruise)
-    fine = np.linspace(0, moving, 4001)
-    peak = 1 / cruise if ramp < cruise else 2 / moving
-    rise = ramp if ramp < cruise else moving / 2
-    speed = peak * np.clip(np.minimum(fine, moving - fine) / max(rise, 1e-12), 0, 1)
-    exact = np.r_[0, np.cumsum((speed[1:] + speed[:-1]) / 2) * fine[1]]
-    assert np.abs(np.interp(5.0 + fine, t, share) - exact).max() < (rise / moving) / 400 + 1e-3
