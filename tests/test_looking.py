@@ -13,7 +13,7 @@ from calib.online.watch import Learner
 from rig import design_file, layout
 from rig.cameras.source import Frame
 from rig.clock import SimulatedClock
-from rig.commands.looking import Looking
+from rig.commands.looking import Looking, Stopping
 from rig.commands.page import Page
 from rig.commands.terminal import Block, Lines, block
 from rig.commands.warming import drawn, warm
@@ -67,7 +67,8 @@ def looked(design, stop_on, displays=()):
     """A Looking that has seen six frames, its halts and its notes."""
     clock, halts, notes = SimulatedClock(), [], []
     planned = steps(build(design, "sobol:6"))
-    looking = Looking(design, planned, planned[0].goal, clock, Measured(design), None, stop_on, lambda: halts.append(threading.current_thread()))
+    looking = Looking(design, planned, planned[0].goal, clock, Measured(design), None,
+                      Stopping(stop_on, lambda: halts.append(threading.current_thread())))
     looking.displays += displays
     looking.note = notes.append
     for frame in range(6):
@@ -121,7 +122,7 @@ def by_limbs(folder, slip, at):
     clock, withdrawn, planned = SimulatedClock(), [], steps(build(design, "sobol:6"))
     agreement = insitu.agreement(poses, poses, np.zeros((60, 6, 6)), (1e-4, 1e-3))
     accepted = Accepted(insitu.Limbs(nominal, 1e-12 * np.eye(42), np.full(6, 1e-6)), nominal, agreement, None, {})
-    looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), frozenset(), lambda: None)
+    looking = Looking(design, planned, planned[0].goal, clock, live, Learner(true, shared=42), Stopping(frozenset(), lambda: None))
     looking.source, looking.withdraw = LimbLive(accepted, 10), lambda source, frame, reason: withdrawn.append((frame, reason))
     for frame, (command, read) in enumerate(zip(commands, hexapod.inverse(poses, nominal))):
         read = read + 1e-6 * rng.normal(size=6) - slip * (frame >= at) * np.eye(6)[4]
@@ -175,7 +176,8 @@ def test_a_terminal_says_what_happened(design):
 def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
     halts = []
     planned = steps(build(design, "sobol:6"))
-    looking = Looking(design, planned, planned[0].goal, SimulatedClock(), Measured(design), None, frozenset(), lambda: halts.append(1))
+    looking = Looking(design, planned, planned[0].goal, SimulatedClock(), Measured(design), None,
+                      Stopping(frozenset(), lambda: halts.append(1)))
     with Page(looking, 0) as page:
         looking.displays.append(page)
         looking.seen(Shot(0, 1, 0.0, planned[1].goal, {c.name: Frame(np.full((48, 64), 9, np.uint8), 0.0, 1e-3) for c in design.cameras}))

@@ -69,14 +69,22 @@ class Display(Protocol):
         """The run is over."""
 
 
+@dataclass(frozen=True, slots=True)
+class Stopping:
+    """What a run is stopped for, and how. kinds : of Alarms; halt : stops the struts now, from any thread."""
+
+    kinds: frozenset[str]
+    halt: Callable[[], object]
+
+
 class Looking:
-    """See rig.operate.Watcher. live, learner : None where frames are not measured or poses not learnt from
-    stop_on : kinds of Alarms that stop the run; halt : stops the struts now, from any thread; `displays` : who shows it."""
+    """See rig.operate.Watcher. start : (axes,) m; live, learner : None where frames are not measured or poses not learnt from
+    `displays` : who shows it."""
 
     def __init__(self, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, live: Live | None, learner: Learner | None,
-                 stop_on: frozenset[str], halt: Callable[[], object]) -> None:
-        self.design, self._clock, self._live, self._learner, self._halt = design, clock, live, learner, halt
-        self._stop_on, self._reason = stop_on, ""
+                 stopping: Stopping) -> None:
+        self.design, self._clock, self._live, self._learner = design, clock, live, learner
+        self._stopping, self._reason = stopping, ""
         self._failed: Exception | None = None
         self.displays: list[Display] = []
         self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
@@ -128,7 +136,7 @@ class Looking:
     def ask_stop(self, reason: str) -> None:
         """Stop the struts now and the run with them; from any thread."""
         self._reason = self._reason or reason
-        self._halt()
+        self._stopping.halt()
 
     def update(self, **changes: Any) -> None:
         """Show what has changed of the view."""
@@ -141,7 +149,7 @@ class Looking:
         """Say what is wrong, and stop the run where that was asked for."""
         self.update(alarms=(*self.view.alarms[1 - LATEST :], alarm))
         self.note(f"{alarm.kind}: {alarm.text}")
-        if alarm.kind in self._stop_on:
+        if alarm.kind in self._stopping.kinds:
             self.ask_stop(alarm.text)
 
     def finish(self) -> None:

@@ -145,6 +145,7 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     from rig.commands.bench import bench_of, set_exposures, shutter_of
     from rig.commands.driving import driving, settled_status
     from rig.commands.warming import warm
+    from rig.commands.looking import Stopping
     from rig.commands.watching import displays_of, looking_of
     from rig.journal import Began, Journal
     from rig.operate import Operator
@@ -182,7 +183,7 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
             write_bytes(arguments.out / "rig.toml", arguments.design.read_bytes())
             journal.append(Began(0.0, clock.now(), len(planned), _hash(planned), tuple(map(float, status.lengths))))
         origin = _origin(journal, clock)
-        looking = looking_of(arguments, design, planned, status.lengths, clock, stop_on, driver.stop)
+        looking = looking_of(arguments, design, planned, status.lengths, clock, Stopping(stop_on, driver.stop))
         looking.displays += stack.enter_context(displays_of(arguments, looking))
         operator = Operator(bench, planned, journal, design.mechanism.axes, origin, looking)
         looking.note, told[:] = operator.remark, [operator.remark, lambda text: looking.update(phase=text)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from calib import store
 from calib.online.limb_live import LimbLive
 from calib.online.watch import Learner
 from rig.commands import from_limbs
-from rig.commands.looking import Display, Looking
+from rig.commands.looking import Display, Looking, Stopping
 from rig.commands.page import Page
 from rig.commands.terminal import terminal
 from rig.errors import RigError
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 SHARED = 42  # draws that all poses by limbs have in common: their geometry
 
 
-def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock, stop_on: frozenset[str],
-               halt: Callable[[], object]) -> Looking:
-    """The Looking of a run, by limbs where the arguments name accepted ones. start : (axes,) m; halt : stops the struts from any thread.
+def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], start: np.ndarray, clock: Clock,
+               stopping: Stopping) -> Looking:
+    """The Looking of a run, by limbs where the arguments name accepted ones. start : (axes,) m.
 
     Raises RigError for a calibration of another kind of machine, and for limbs that do not stand for vision.
     """
@@ -48,7 +48,7 @@ def looking_of(arguments: Namespace, design: Design, planned: tuple[Step, ...], 
     if measured and design.mechanism.kind == "hexapod":
         learner = Learner(design.mechanism, calibration, tuple(arguments.tolerance) if arguments.tolerance else None,
                           0 if accepted is None else SHARED)
-    looking = Looking(design, planned, start, clock, Live(design) if measured else None, learner, stop_on, halt)
+    looking = Looking(design, planned, start, clock, Live(design) if measured else None, learner, stopping)
     if accepted is not None:
         looking.source = LimbLive(accepted, every)
         looking.withdraw = partial(_withdraw, arguments)

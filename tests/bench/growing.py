@@ -17,7 +17,7 @@ from rig.cameras.source import Frame
 from rig.cameras.together import Shutter
 from rig.clock import SystemClock
 from rig.commands.bench import save_image
-from rig.commands.looking import Looking
+from rig.commands.looking import Looking, Stopping
 from rig.commands.page import Page
 from rig.commands.warming import warm
 from rig.design import Sensor
@@ -79,7 +79,7 @@ def _run(folder):
     start = planned[0].goal
     machine = SimpleNamespace(lengths=lambda: start, move=lambda goal: None, stop=lambda: None)
     bench = Bench(machine, shutter, clock, settling(f"time:{TIME}"), 1e-5, lambda *_: (), save_image)
-    looking = Looking(design, planned, start, clock, Live(design), Learner(design.mechanism), frozenset(), lambda: None)
+    looking = Looking(design, planned, start, clock, Live(design), Learner(design.mechanism), Stopping(frozenset(), lambda: None))
     (folder / "rec").mkdir()
     with Page(looking, 0) as page, Journal(folder / "rec" / "journal.jsonl") as journal:
         looking.displays.append(page)
