@@ -7,24 +7,26 @@ Source: patent CN111488654A, claim 5 (there for parallel axes 2, 3, 4; the spher
 import numpy as np
 
 from rig.kernel import njit
-from rig.mechanisms.regression import (ELBOW, FREE, OFF_AXIS, SHOULDER, SINGULAR, SLACK, TOO_FAR, TOO_NEAR, TURNED_AWAY, WRIST, about, add, angle,
-                                       around, cross, dot, elbows, readings, row, seen, shoulder, wrapped)
+from rig.mechanisms.regression import (ELBOW, FREE, OFF_AXIS, SHOULDER, SINGULAR, SLACK, TOO_FAR, TOO_NEAR, TURNED_AWAY, WRIST, Vector, about, add,
+                                       angle, around, cross, dot, elbows, readings, row, seen, shoulder, wrapped)
+
+Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # solutions, their flags, reasons, gaps
 
 
 @njit(cache=True, error_model="numpy")
-def _across(a, u):
+def _across(a: Vector, u: Vector) -> Vector:
     """The part of a across the unit vector u."""
     return add(a, u, -dot(a, u))
 
 
 @njit(cache=True, error_model="numpy")
-def _set(t):
+def _set(t: float) -> tuple[float, float, float, float]:
     """An angle that is chosen, as `angle` returns one that is read."""
     return t, np.cos(t), np.sin(t), 1.0
 
 
 @njit(cache=True, error_model="numpy")
-def _hand(hands, m, key):
+def _hand(hands: np.ndarray, m: int, key: Vector) -> tuple[Vector, Vector, Vector, Vector]:
     """(key point, hand's x, y, z) where the hand's points number m are; key : from A, at zero."""
     A = row(hands[m], 0)
     ez, ey = add(row(hands[m], 1), A, -1.0), add(row(hands[m], 2), A, -1.0)
@@ -33,7 +35,7 @@ def _hand(hands, m, key):
 
 
 @njit(cache=True, error_model="numpy")
-def _bend(axis, u5, u6):
+def _bend(axis: Vector, u5: Vector, u6: Vector) -> tuple[float, float, float, float]:
     """What joint 5 is read from: cos and sine parts of axis . turned(u6), and how far r + product and r - product are from 1."""
     a, b = dot(_across(axis, u5), _across(u6, u5)), dot(axis, cross(u5, u6))
     r, tilt = np.sqrt(a * a + b * b), dot(axis, u5) * dot(u6, u5)
@@ -41,7 +43,7 @@ def _bend(axis, u5, u6):
 
 
 @njit(cache=True, error_model="numpy")
-def _wrist(axis, v, bend):
+def _wrist(axis: Vector, v: Vector, bend: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     """Joint 5 from where axis 6 points, v, against another axis: (first, second, sine between, miss)."""
     apart, together = add(v, axis, -1.0), add(v, axis, 1.0)
     less, more = 0.5 * dot(apart, apart) + bend[2], 0.5 * dot(together, together) + bend[3]
@@ -50,7 +52,7 @@ def _wrist(axis, v, bend):
 
 
 @njit(cache=True, error_model="numpy")
-def spherical(hands, points, axes, hand, key, near):
+def spherical(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray) -> Found:
     """Axes 4, 5, 6 cross in `key`; axes 2 and 3 are parallel.
 
     hands : (m, 3, 3) points A, B, C wanted, AB and AC of length 1, hand : (3, 3) the same at zero; key : (3,) at zero
@@ -108,7 +110,7 @@ def spherical(hands, points, axes, hand, key, near):
 
 
 @njit(cache=True, error_model="numpy")
-def _within(turn, point, last, u, upper, fore):
+def _within(turn: float, point: Vector, last: Vector, u: Vector, upper: float, fore: float) -> float:
     """The turn itself where it leaves point - turned(last) within the elbow's reach, else one that brings it there if any does."""
     flat, span = _across(point, u), _across(last, u)
     a, b = np.sqrt(dot(flat, flat)), np.sqrt(dot(span, span))
@@ -122,8 +124,8 @@ def _within(turn, point, last, u, upper, fore):
 
 
 @njit(cache=True, error_model="numpy")
-def parallel(hands, points, axes, hand, key, near):
-    """Axes 2, 3, 4 are parallel; axes 5 and 6 cross in `key`. Arguments and results as of `spherical`."""
+def parallel(hands: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray, key: np.ndarray, near: np.ndarray) -> Found:
+    """Axes 2, 3, 4 are parallel; axes 5 and 6 cross in `key`. Arguments, hands (m, 3, 3) first, and results as of `spherical`."""
     q, flags = np.full((len(hands), 8, 6), np.nan), np.full((len(hands), 8), -1)
     reason, gap = np.zeros(len(hands), np.int64), np.zeros(len(hands))
     o1, o2, o3, o4 = row(points, 0), row(points, 1), row(points, 2), row(points, 3)

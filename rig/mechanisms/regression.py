@@ -18,46 +18,48 @@ FREE = 1e-13  # sine below which a joint's angle cannot be read at all
 SHOULDER, ELBOW, WRIST = 1, 2, 4
 REACHED, OFF_AXIS, TOO_FAR, TOO_NEAR, TURNED_AWAY = 0, 1, 2, 3, 4
 
+Vector = tuple[float, float, float]
+
 
 @njit(cache=True, error_model="numpy")
-def row(m, i):
+def row(m: np.ndarray, i: int) -> Vector:
     """Row i of a matrix (n, 3)."""
     return m[i, 0], m[i, 1], m[i, 2]
 
 
 @njit(cache=True, error_model="numpy")
-def dot(a, b):
+def dot(a: Vector, b: Vector) -> float:
     """Scalar product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True, error_model="numpy")
-def cross(a, b):
+def cross(a: Vector, b: Vector) -> Vector:
     """Vector product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True, error_model="numpy")
-def add(a, b, k):
+def add(a: Vector, b: Vector, k: float) -> Vector:
     """a + k b."""
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
 @njit(cache=True, error_model="numpy")
-def about(v, u, c, s):
+def about(v: Vector, u: Vector, c: float, s: float) -> Vector:
     """Vector v turned about the unit vector u by the angle of cosine c and sine s, right-handed."""
     w, k = cross(u, v), dot(u, v) * (1 - c)
     return c * v[0] + s * w[0] + k * u[0], c * v[1] + s * w[1] + k * u[1], c * v[2] + s * w[2] + k * u[2]
 
 
 @njit(cache=True, error_model="numpy")
-def around(p, o, u, c, s):
+def around(p: Vector, o: Vector, u: Vector, c: float, s: float) -> Vector:
     """Point p turned about the axis through o along u."""
     return add(about(add(p, o, -1.0), u, c, s), o, 1.0)
 
 
 @njit(cache=True, error_model="numpy")
-def angle(a, b, u):
+def angle(a: Vector, b: Vector, u: Vector) -> tuple[float, float, float, float]:
     """(angle from a to b about u, its cosine, its sine, product of their lengths across u); 0 where one lies along u."""
     a, b = add(a, u, -dot(a, u)), add(b, u, -dot(b, u))
     s, c = dot(u, cross(a, b)), dot(a, b)
@@ -68,13 +70,13 @@ def angle(a, b, u):
 
 
 @njit(cache=True, error_model="numpy")
-def wrapped(t):
+def wrapped(t: float) -> float:
     """An angle within a turn of zero, brought to -pi .. pi."""
     return t - 2 * np.pi if t > np.pi else (t + 2 * np.pi if t < -np.pi else t)
 
 
 @njit(cache=True, error_model="numpy")
-def readings(a, b, less, more):
+def readings(a: float, b: float, less: float, more: float) -> tuple[float, float, float]:
     """The two angles of a cos x + b sin x = c, with r = hypot(a, b), less = r - c, more = r + c: (first, second, sine between).
 
     less and more come in the form that keeps their digits where they are small; a negative one is the caller's to refuse.
@@ -86,7 +88,7 @@ def readings(a, b, less, more):
 
 
 @njit(cache=True, error_model="numpy")
-def shoulder(point, o, u1, u2, level):
+def shoulder(point: Vector, o: Vector, u1: Vector, u2: Vector, level: float) -> tuple[float, float, float, float, float]:
     """Joint 1, by which the point, turned back about axis 1, lies at `level` along axis 2: (first, second, half their spread in m,
     by how much the point is too near the axis, its distance, both in m)."""
     w = add(point, o, -1.0)
@@ -99,7 +101,7 @@ def shoulder(point, o, u1, u2, level):
 
 
 @njit(cache=True, error_model="numpy")
-def elbows(o, u, upper, fore, point):
+def elbows(o: Vector, u: Vector, upper: float, fore: float, point: Vector) -> tuple[Vector, Vector, float, float, float, float]:
     """Two elbow points, from o, at distance `upper` from the axis (o, u) and `fore` from a point, all seen along u:
     (first, second, height, by how much the point is too far, too near, its distance), all in m."""
     d = add(point, o, -1.0)
@@ -118,7 +120,7 @@ def elbows(o, u, upper, fore, point):
 
 
 @njit(cache=True, error_model="numpy")
-def forward(q, points, axes, hand):
+def forward(q: np.ndarray, points: np.ndarray, axes: np.ndarray, hand: np.ndarray) -> np.ndarray:
     """(m, 3, 3) hand points A, B, C (rows) of joint angles q (m, 6); points, axes (6, 3) and hand (3, 3) at zero."""
     out = np.empty((len(q), 3, 3))
     for m in range(len(q)):
@@ -132,6 +134,6 @@ def forward(q, points, axes, hand):
 
 
 @njit(cache=True, error_model="numpy")
-def seen(v, ex, ey, ez):
+def seen(v: Vector, ex: Vector, ey: Vector, ez: Vector) -> Vector:
     """A vector of the hand at zero, where the hand's x, y, z now point along ex, ey, ez."""
     return add(add(add((0.0, 0.0, 0.0), ex, v[0]), ey, v[1]), ez, v[2])
