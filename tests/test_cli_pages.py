@@ -72,4 +72,3 @@ def test_an_effect_played_is_its_own_model_at_its_sizes(design):
     shown = played(design, done.commands, done.t, (effect,), 0)
     assert np.allclose(shown.shifts[3], 2 * shown.shifts[2], rtol=0.01, atol=1e-9) and len(shown.sizes) == len(FACTORS)
     assert scaled(parse("compliance:rig:stiffness=3e6"), 2.0).stiffness == pytest.approx(1.5e6), "half as stiff is twice as much"
-

@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import layout, recording
+from rig.errors import RigError
 from rig.importing.bag_images import encoded
 from tests.mistakes.test_mistakes import said
 
@@ -206,7 +207,7 @@ def test_deep_images_keep_their_depth_and_half_ones_are_refused():
     message = SimpleNamespace(encoding="mono16", width=4, height=3, step=8, is_bigendian=1, data=pixels.tobytes())
     assert np.array_equal(cv2.imdecode(np.frombuffer(encoded(message, False, "x")[1], np.uint8), cv2.IMREAD_UNCHANGED), pixels)
     for change, says in ((dict(data=b"123"), "has 3 bytes"), (dict(encoding="yuv422"), "encoding 'yuv422'"), (dict(height=0), "4 x 0 px")):
-        with pytest.raises(Exception, match=says):
+        with pytest.raises(RigError, match=says):
             encoded(SimpleNamespace(**{**vars(message), **change}), False, "x")
 
 

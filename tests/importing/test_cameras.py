@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from rig import design_file, layout
+from rig.errors import RigError
 from rig.export import cameras as exported
 from rig.pose import exp
 from tests.mistakes.test_mistakes import said
@@ -174,7 +175,7 @@ def test_camera_info_goes_both_ways(stated, true, tmp_path):
     for camera, there, meant in zip(design_file.load(tmp_path / "back.toml").cameras, stated[1], true):
         assert np.abs(camera.matrix - meant.matrix).max() < 1e-6 and np.abs(camera.distortion[:4] - meant.distortion).max() < 1e-9
         assert np.abs((camera.pose.inv() * there.pose).translation).max() < 1e-9  # a camera_info has no place
-    with pytest.raises(Exception, match="12 terms; camera_info"):
+    with pytest.raises(RigError, match="12 terms; camera_info"):
         exported.camera_info(replace(true[0], distortion=np.zeros(12)))
 
 
