@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design
+from rig.design import Camera, Design
 
 SAME = 1e-9  # m, rad, or the figure's own unit; less is how a number was written
 STATED = ("gravity", "mechanism", "instrument", "actuator", "platform", "targets", "insitu")  # what one machine has once
@@ -21,7 +21,7 @@ def contradictions(a: Design, b: Design) -> list[str]:
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found
 
 
-def same_lens(a: Any, b: Any) -> bool:
+def same_lens(a: Camera, b: Camera) -> bool:
     """Whether two Cameras are stated with the same sensor, lens, shutter and mount, wherever they stand."""
     return not any(where not in ("pose", "source") for where, _ in _differences(a, b, ""))
 

@@ -131,7 +131,7 @@ class Ended(KeyboardInterrupt):
 def _run(arguments: argparse.Namespace) -> int:
     """The exit status of a command; what it has written is in its place before this returns."""
     name = f"rig {arguments.command}"
-    asked = getattr(arguments, "json", False) and "result" in vars(arguments)
+    asked = _for_programs(arguments)
     try:
         if asked and getattr(arguments, "out", None) == STANDARD_OUTPUT:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
@@ -166,6 +166,11 @@ def _run(arguments: argparse.Namespace) -> int:
         return _failed(f"{name}: interrupted", 130)
 
 
+def _for_programs(arguments: argparse.Namespace) -> bool:
+    """Whether a command that leaves its result in `arguments.result` is to print it as JSON."""
+    return getattr(arguments, "json", False) and "result" in vars(arguments)
+
+
 @contextmanager
 def _words(arguments: argparse.Namespace) -> Iterator[None]:
     """Within it what a command prints goes where its user wants words: nowhere with --quiet, unless it is the result that was asked for; to the error
@@ -173,7 +178,7 @@ def _words(arguments: argparse.Namespace) -> Iterator[None]:
     from rig.commands.progress_shown import Progress
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
-    aside = getattr(arguments, "json", False) and "result" in vars(arguments)
+    aside = _for_programs(arguments)
     before, Progress.shown = Progress.shown, "none" if quiet else getattr(arguments, "progress", "auto")
     try:
         if quiet and (aside or out is not None and not getattr(arguments, "json", False)):  # without --out the result itself is printed

@@ -17,7 +17,8 @@ from rig.errors import FileError, RigError
 from rig.origin import Origin, decimal
 from rig.outside import shown
 from rig.plan_writer import STEP, Plan, Writer
-from rig.recording import Commands, Sensors
+from rig.recording import PAYLOAD, Commands, Sensors
+from rig.writing import write_table
 
 SPEED = 0.5  # of the actuator's top speed
 UNSTATED_SPEED = {"m": 0.02, "rad": 0.5}  # m/s or rad/s where the design states none
@@ -25,7 +26,6 @@ EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
 MOST = 20_000  # exposures of a plan
 DIGITS = 4  # of a time in a plan's table
-PAYLOAD = "payload_mass_kg"  # column of a plan in time: kg that the platform carries from that row on
 LONG = 600.0  # s of a dwell that is watched
 LONGEST = 600  # min that a plan may wait at once
 ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
@@ -262,15 +262,14 @@ def strokes_of(design: Design) -> np.ndarray:
     return mechanisms.of(design.mechanism).travel(design.mechanism)
 
 
-def rows_of(plan: Plan) -> tuple[tuple[str, ...], list[str]]:
-    """(columns beside the axes', rows) of a Plan as a table in time, which `build` reads as commands:FILE; the axes' columns stand last."""
+def write(path: Path, plan: Plan, axes: tuple[str, ...]) -> None:
+    """Write a Plan as a table in time, which `build` reads as commands:FILE. axes : names of their columns, which stand last"""
     loaded, exposed = np.round(plan.payload[:, 0], DIGITS), np.round(plan.t, DIGITS)
     t = np.union1d(np.round(plan.commands.t, DIGITS), np.r_[exposed, loaded])
     mass = plan.payload[np.searchsorted(loaded, t, side="right") - 1, 1]
     frames = {time: str(k) for k, time in enumerate(exposed.tolist())}
-    values = plan.commands.at(t)
-    return ("frame", "t", PAYLOAD), [",".join([frames.get(time, ""), f"{time:.4f}", f"{m:.6g}", *(f"{v:.7f}" for v in row)])
-                                     for time, m, row in zip(t.tolist(), mass.tolist(), values)]
+    write_table(path, ("frame", "t", PAYLOAD, *axes), [",".join([frames.get(time, ""), f"{time:.4f}", f"{m:.6g}", *(f"{v:.7f}" for v in row)])
+                                                       for time, m, row in zip(t.tolist(), mass.tolist(), plan.commands.at(t))])
 
 
 def speed_of(design: Design) -> np.ndarray:
@@ -282,9 +281,9 @@ def speed_of(design: Design) -> np.ndarray:
 def logged(plan: Plan, sensors: Sensors) -> Sensors:
     """Sensors with the plan's payload as a channel, a row at each step so that it stays one."""
     if not (plan.payload[:, 1] > 0).any():
-        return replace(sensors, channels={**sensors.channels, "payload_mass_kg": np.zeros(len(sensors.t))})
+        return replace(sensors, channels={**sensors.channels, PAYLOAD: np.zeros(len(sensors.t))})
     steps = plan.payload[1:, 0]
     t = np.union1d(sensors.t, np.concatenate([steps - 1e-3, steps]))
     mass = plan.payload[np.searchsorted(plan.payload[:, 0], t, side="right") - 1, 1]
     channels = {name: np.interp(t, sensors.t, values) for name, values in sensors.channels.items()}
-    return replace(sensors, t=t, channels={**channels, "payload_mass_kg": mass})
+    return replace(sensors, t=t, channels={**channels, PAYLOAD: mass})

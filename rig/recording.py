@@ -19,6 +19,7 @@ from rig.origin import Origin, decimal
 from rig.table import Table
 
 LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m, read only where there are rows about an exposure
+PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
 LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
 
 

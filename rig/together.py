@@ -15,11 +15,10 @@ from rig.design import Camera
 from rig.errors import RigError
 from rig.exposures import Exposures
 from rig.observed import Corners, Poses
-from rig.recording import Commands, Part, Recording, Sensors
+from rig.recording import PAYLOAD, Commands, Part, Recording, Sensors
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins
-PAYLOAD = "payload_mass_kg"
 Owners = tuple[dict[str, int], ...]  # of each recording: {camera: number (from 0) of the recording in which it came to stand there}
 
 

@@ -35,7 +35,7 @@ def run(arguments: Namespace) -> None:
         raise RigError("--from, --place and --out are about a new effect: give it a name with --new")
     from shutil import get_terminal_size
 
-    from rig.commands.usage import nearest
+    from rig.commands.usage import meant
     from rig.effects.listing import table, tree, whole
 
     width = get_terminal_size((160, 24)).columns
@@ -47,8 +47,7 @@ def run(arguments: Namespace) -> None:
             print(table(known.values(), width), end="")
         return
     if arguments.name not in known:
-        near = nearest(arguments.name, known)
-        raise RigError(f"there is no effect {arguments.name!r}{f'; did you mean {near}?' if near else ''} `rig effects` lists them")
+        raise RigError(f"there is no effect {arguments.name!r}{meant(arguments.name, known)} `rig effects` lists them")
     effect = known[arguments.name]
     if arguments.json:
         print_json(tree(effect))

@@ -49,6 +49,7 @@ def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, o
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
     from calib.experiment.choose import choose, kinds
     from calib.experiment.hypotheses import questions
+    from rig import plan
 
     asked = questions(found)
     experiments: list[Experiment] = []
@@ -65,17 +66,8 @@ def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, o
         print("nothing is alike that an experiment could tell apart")
     (out / "next.json").write_text(json.dumps(_tree(asked, experiments), indent=1) + "\n", encoding="utf-8")
     if experiments:
-        write(arguments.outputs.file(arguments.next), experiments[0], design)
+        plan.write(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
         print(f"written: {arguments.next}")
-
-
-def write(path: Path, experiment: Experiment, design: Design) -> None:
-    """Write an experiment's plan as a table in time."""
-    from rig.plan import rows_of
-    from rig.writing import write_table
-
-    columns, rows = rows_of(experiment.plan)
-    write_table(path, (*columns, *design.mechanism.axes), rows)
 
 
 def _tree(asked: Sequence[Question], experiments: Sequence[Experiment]) -> dict[str, object]:

@@ -23,7 +23,7 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
     Where a command refuses, what follows from it is left out, and that is a line
     """
     from calib.experiment.record import diagnosis_of, recording_of
-    from rig.plan import build
+    from rig.plan import build, write
 
     out, said = arguments.out, []
     recordings = [str(recording_of(out, look.number)) for look in looks]
@@ -41,7 +41,7 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
         if not done:
             _wanted(poses, rig, arguments)
             rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
-            rig.write_plan(plan, build(rig.design, f"commands:{commands}"))
+            write(plan, build(rig.design, f"commands:{commands}"), rig.design.mechanism.axes)
         rig.record(plan, again, arguments.seed + VERIFYING)
         rig.call("verify", str(calibration), str(again))
         said.append(f"verified on new poses, commanded through the correction: {again.name}")
@@ -57,14 +57,14 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
 
 def _wanted(path: Path, rig: Rig, arguments: Namespace) -> None:
     """Write new poses all over what the struts reach."""
+    import numpy as np
+
     from rig import mechanisms
     from rig.configurations import low_discrepancy
     from rig.plan import strokes_of
-    from rig.pose import vector
-    from rig.writing import write_table
+    from rig.recording import Poses
+    from rig.writing import write_poses
 
     m = rig.design.mechanism
     lengths = low_discrepancy(strokes_of(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
-    T = mechanisms.of(m).forward(lengths, m)
-    write_table(path, ("frame", "x", "y", "z", "rx", "ry", "rz"), [f"{k}," + ",".join(f"{value:.9f}" for value in row)
-                                                                   for k, row in enumerate(vector(T))])
+    write_poses(path, Poses(np.arange(len(lengths)), mechanisms.of(m).forward(lengths, m), None))

@@ -47,8 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
         raise RigError("--rig rig.toml says what rig the files are of; `rig design` lays one out")
     settings = tuple(arguments.settings)
     recipe = (importing.load(arguments.recipe, settings) if arguments.recipe is not None
-              else importing.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or (),
-                                                                                             arguments.bag or ()))
+              else importing.stated(arguments.rig, arguments.images, given, settings, arguments.cameras or (), arguments.bag or ()))
     arguments.outputs.inputs += _read(recipe)
     if recipe.cameras is not None and arguments.out.suffix == ".toml":
         _rig(arguments, recipe)

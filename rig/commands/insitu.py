@@ -105,6 +105,6 @@ def _learn(arguments: Namespace, recording: Recording, by_limbs: Sampled, state:
     from calib.online.filter import Online
 
     known = Online.load(arguments.state) if arguments.state.exists() else None
-    learner, _ = online.learn(recording, lambda: by_limbs, known, None, Progress(), Namespace())
+    learner, *_ = online.learn(recording, lambda: by_limbs, known, None, Progress())
     learner.save(state)
     print(f"written: {arguments.state}")

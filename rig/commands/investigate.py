@@ -88,7 +88,7 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
     from calib.experiment.record import plan_of
     from rig import json_file
     from rig.files import write_bytes, write_text
-    from rig.plan import build
+    from rig.plan import build, write
 
     out, own = arguments.out, {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": arguments.seed}
     if arguments.resume:
@@ -106,7 +106,7 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
     except OSError as error:
         raise RigError(f"{out} cannot be made: {error.strerror}") from None
     write_bytes(out / "rig.toml", arguments.design.read_bytes())
-    rig.write_plan(plan_of(out, 1), plan)
+    write(plan_of(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
 
 

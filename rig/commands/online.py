@@ -59,7 +59,7 @@ def run(arguments: Namespace) -> None:
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    learner, learnt = learn(recording, sampled, known, calibration, progress, arguments)
+    learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
@@ -77,9 +77,10 @@ def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt:
 
 
 def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
-          progress: Progress, arguments: Namespace) -> tuple[Online, Learnt]:
-    """The filter after a recording's poses that it has not learnt, and what they taught, which is said. sampled : makes the Sampled of it
-    arguments : take the result; known : the filter to go on with, or None; calibration : where a new one starts from, or None
+          progress: Progress) -> tuple[Online, Learnt, dict[str, Any]]:
+    """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json prints of it.
+
+    sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts from, or None
 
     Raises RigError where no pose is left to learn
     """
@@ -109,11 +110,11 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
         progress("learning", len(updates), len(samples))
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
-    arguments.result = _result(learner, updates, samples.frame)
     moved = learner.p - parameters(mechanism)
     print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
-    return learner, _learnt(learner, updates, samples.frame, found.source, float(np.sqrt(np.mean(moved**2))))
+    taught = _learnt(learner, updates, samples.frame, found.source, float(np.sqrt(np.mean(moved**2))))
+    return learner, taught, _result(learner, updates, samples.frame)
 
 
 def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> Learnt:

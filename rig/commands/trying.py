@@ -52,14 +52,6 @@ class Rig:
         if self.by == "driver":
             steps(plan)
 
-    def write_plan(self, path: Path, plan: Plan) -> None:
-        """Write a plan as a table in time."""
-        from rig.plan import rows_of
-        from rig.writing import write_table
-
-        columns, rows = rows_of(plan)
-        write_table(path, (*columns, *self.design.mechanism.axes), rows)
-
     def record(self, plan: Path, out: Path, seed: int) -> None:
         """Have a plan carried out and recorded, unless that is done. Raises Waiting where somebody has to do it"""
         if self.by == "machine":

@@ -11,7 +11,7 @@ from rig import mechanisms
 from rig.design import Actuator, Arm, Chain, Hexapod, Planar2, Platform
 from rig.errors import RigError
 from rig.mechanisms.kind import Kind
-from rig.recording import Sensors
+from rig.recording import PAYLOAD, Sensors
 
 SOON = 1e-6  # s; knots that lie closer together are one
 STEADY = 1e-6  # of the greatest speed, by which two speeds are the same
@@ -201,8 +201,8 @@ class Motion:
 
     def payload(self) -> np.ndarray:
         """(n,) kg on the platform; 0 where nobody logged any."""
-        logged = self.sensors is not None and "payload_mass_kg" in self.sensors.channels
-        return self.channel("payload_mass_kg") if logged else np.zeros(len(self.t))
+        logged = self.sensors is not None and PAYLOAD in self.sensors.channels
+        return self.channel(PAYLOAD) if logged else np.zeros(len(self.t))
 
     def posed(self) -> RigidTransform:
         """T, the poses (n,). Raises ValueError for a Motion that has none."""

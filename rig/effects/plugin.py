@@ -101,8 +101,8 @@ def _problem(kind: type[Effect]) -> str | None:
     """What is wrong with a class, in words that follow its name; None where nothing is."""
     if not is_dataclass(kind) or not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         return "must be a frozen dataclass: @dataclass(frozen=True, slots=True)"
-    if not kind.name or unnamed(kind.name):
-        return unnamed(kind.name) or "has no name"
+    if unnamed(kind.name):
+        return unnamed(kind.name)
     if kind.stage not in STAGES:
         return f"has the stage {kind.stage!r}; there are {', '.join(STAGES)}"
     if not isinstance(kind.places, tuple) or not kind.places or set(kind.places) - set(KINDS):

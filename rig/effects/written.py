@@ -92,16 +92,17 @@ class Written:
 
     def text(self, prefix: str = "") -> str:
         """The formula by its parameters and the quantities' symbols. prefix : before each parameter"""
-        parts = []
+        return ", ".join(f"{way}: {total}" if way else total for way, total in self._totals(prefix).items())
+
+    def _totals(self, prefix: str) -> dict[str | None, str]:
+        """{which way the platform goes, None where axes lengthen: its terms}"""
+        parts: dict[str | None, list[str]] = {}
         for n, term in enumerate(self.terms):
             turn = "" if term.wave is None else f"{prefix}{self.waves[term.wave]} * {self._symbol(term.wave[0])}"
             product = "".join(f" * {self._symbol(name)}" + (f"**{power}" if power > 1 else "") for name, power in term.powers)
             for name, function in zip(_names(term, n), ("np.sin", "np.cos") if turn else ("",)):
-                parts.append((term.along, f"{prefix}{name}{product}" + (f" * {function}({turn})" if turn else "")))
-        if not self.moves_platform:
-            return " + ".join(text for _, text in parts)
-        ways = dict.fromkeys(way for way, _ in parts)
-        return ", ".join(f"{way}: " + " + ".join(text for own, text in parts if own == way) for way in ways)
+                parts.setdefault(term.along, []).append(f"{prefix}{name}{product}" + (f" * {function}({turn})" if turn else ""))
+        return {way: " + ".join(terms) for way, terms in parts.items()}
 
     def _symbol(self, name: str) -> str:
         return quantity(name, self.word).symbol
@@ -168,7 +169,7 @@ class Written:
             body = [f"        return self.axes(motion.places) * ({total[0]}", *(f"{' ' * 43}{line}" for line in total[1:])]
             body[-1] += ")"
             return ["    def deviation(self, motion: Motion) -> np.ndarray:", *given, *body]
-        rows = [f"        moved[:, [{POSE.index(way)}]] = {total}" for way, total in (part.split(": ", 1) for part in self.text("self.").split(", "))]
+        rows = [f"        moved[:, [{POSE.index(way)}]] = {total}" for way, total in self._totals("self.").items() if way]
         return ["    def sway(self, motion: Motion) -> np.ndarray:", *given,
                 "        moved = np.zeros((len(motion.t), 6))  # along and about the base's axes, m and rad", *rows,
                 "        return motion.tangents(moved)"]
@@ -204,7 +205,6 @@ def _plain(words: str) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.6g}"
-
 
 
 EXAMPLE = Written("strut", (Term((), ("travel of strut 2", 90.0), None, (2e-5, 0.0), 1.0, 1.5),))  # a strut that follows another one's travel

@@ -20,6 +20,7 @@ TIMES = ("s", "ms", "us", "ns", "iso")
 ROTATIONS = ("rotvec", "quaternion", "quaternion-wxyz", "quaternion-xyzw")
 EULER = tuple(a + b + c for letters in ("xyz", "XYZ") for a in letters for b in letters for c in letters if a != b != c)
 TABLES = ("commands", "poses", "sensors", "frames")
+UNPACKED = ("folder", "said")  # of a Bag, what is found out
 FROM_BAG = Path()  # in place of the file of a table that a bag holds
 NUMBERS = ("steps_per_mm", "shift", "tolerance", "period")
 
@@ -161,8 +162,9 @@ def _recipe(root: Entries, folder: Path) -> Recipe:
     return Recipe(folder / root.text("rig"), images, bag=bag, **stated)
 
 
-def _known(entries: Entries, kind: type) -> None:
-    names = tuple(part.name for part in fields(kind))
+def _known(entries: Entries, kind: type, found_out: tuple[str, ...] = ()) -> None:
+    """Raise FileError for a key that is no field of a kind, or one that is found out, not stated."""
+    names = tuple(part.name for part in fields(kind) if part.name not in found_out)
     entries.refuse_misspelt(names)
     for key in entries.tree:
         if key not in names:
@@ -175,10 +177,7 @@ def _pairs(entries: Entries, key: str) -> tuple[tuple[str, str], ...]:
 
 
 def _bag(e: Entries, folder: Path) -> Bag:
-    e.refuse_misspelt(("files", "topics", "cameras", "sensors"))
-    for key in e.tree:
-        if key not in ("files", "topics", "cameras", "sensors"):
-            e.fail(f"unknown key {e.name(key)!r}; there are files, topics, cameras, sensors", key)
+    _known(e, Bag, UNPACKED)
     if "files" not in e.tree:
         e.fail(f"{e.name('files')} is missing: settings of a bag that is not imported")
     topics = _pairs(e, "topics")
@@ -236,7 +235,7 @@ def text(recipe: Recipe, folder: Path) -> str:
         table = tomlkit.table()
         for part in fields(section):
             value = getattr(section, part.name)
-            if part.name in ("folder", "said") or _unpacked(value, recipe):
+            if part.name in UNPACKED or _unpacked(value, recipe):
                 continue
             if part.name in ("folders", "files"):
                 table.add(part.name, [path(one) for one in value])

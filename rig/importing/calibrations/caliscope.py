@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.entries import Entries
 from rig.importing.calibrations.camera import ForeignCamera, pinhole, rigid, size, terms
-from rig.importing.calibrations.fisheye import rational
+from rig.importing.calibrations.fisheye import became, four, rational
 
 NAME = re.compile(r"cam_\d{1,4}")
 
@@ -41,10 +41,9 @@ def _camera(e: Entries, name: str) -> ForeignCamera:
     said: tuple[str, ...] = ()
     name = e.text("name", default=name)
     if e.flag("fisheye", False):
-        if len(values) != 4:
-            e.fail(f"{e.name('distortions')}: a fisheye has 4 terms, got {len(values)}", "distortions")
+        four(e, "distortions", values)
         distortion, off = rational(e, "fisheye", values, matrix, wide)
-        said = (f"{name}: its fisheye becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image",)
+        said = (became(name, off),)
     else:
         distortion = terms(e, "distortions", values)
     if "rotation" not in e.tree or "translation" not in e.tree:

@@ -40,6 +40,17 @@ def rational(e: Entries, key: str, k: np.ndarray, matrix: np.ndarray, size: tupl
     return np.array([a[0], a[1], 0, 0, a[2], *d]), off
 
 
+def four(e: Entries, key: str, values: np.ndarray) -> None:
+    """Raise FileError for terms (n,) that are not the four of a fisheye."""
+    if len(values) != 4:
+        e.fail(f"{e.name(key)}: a fisheye has 4 terms, got {len(values)}", key)
+
+
+def became(name: str, off: float) -> str:
+    """What is said of a camera whose fisheye became a rational lens. off : px"""
+    return f"{name}: its fisheye becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image"
+
+
 def _radius(r: np.ndarray, c: np.ndarray) -> np.ndarray:
     s = r**2
     return r * (1 + s * (c[0] + s * (c[1] + s * c[2]))) / (1 + s * (c[3] + s * (c[4] + s * c[5])))

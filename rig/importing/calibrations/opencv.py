@@ -8,7 +8,7 @@ import numpy as np
 from rig.camera_entries import LARGEST_IMAGE
 from rig.entries import Entries
 from rig.importing.calibrations.camera import ForeignCamera, pinhole, terms
-from rig.importing.calibrations.fisheye import rational
+from rig.importing.calibrations.fisheye import became, four, rational
 
 MATRIX = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "mtx")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "dist")
@@ -31,13 +31,11 @@ def read(root: Entries) -> list[ForeignCamera]:
     model = root.text("distortion_model", MODELS, default="plumb_bob")
     if model not in FISHEYES and root.get("fisheye_model", 0) in (0, False):
         return [ForeignCamera(name, size, matrix, terms(root, bent, values), None, root)]
-    if len(values) != 4:
-        root.fail(f"{root.name(bent)}: a fisheye has 4 terms, got {len(values)}", bent)
+    four(root, bent, values)
     if size is None:
         root.fail(f"image_width and image_height are missing, over which a fisheye is to become a lens of {root.file.name}'s camera here")
     distortion, off = rational(root, "distortion_model" if model in FISHEYES else "fisheye_model", values, matrix, size)
-    return [ForeignCamera(name, size, matrix, distortion, None, root,
-                          (f"{name}: its fisheye becomes OpenCV's rational lens, which follows it to {off:.2g} px in the whole image",))]
+    return [ForeignCamera(name, size, matrix, distortion, None, root, (became(name, off),))]
 
 
 def _key(root: Entries, names: tuple[str, ...]) -> str | None:
