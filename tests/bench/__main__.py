@@ -31,7 +31,7 @@ NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, 
          "beside": beside, "watch": watch, "investigate": investigate}  # minutes: only where they are named
 
 
-def main():
+def main() -> None:
     """Run the benchmarks and print a line each: figure, reached, wanted."""
     for name in sys.argv[1:] or ALL:
         if name not in NAMED:

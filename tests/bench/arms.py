@@ -4,6 +4,7 @@ import json
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from tests.rig.test_wrist import ARMS, check, near_singular
 PANDA = design_file.load(files("rig") / "arms" / "panda.toml").mechanism
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     yield from _forward()
     yield from _closed_forms()

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from rig import layout
@@ -17,7 +18,7 @@ UNIT = {"m": (1e6, "um"), "px": (1, "px"), "whitened": (1, "of the noise")}
 MOST = 4  # findings told of one recording
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted), one a recording; figures of one are held out: before its findings, after, and the noise's own."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -3,6 +3,7 @@
 Every kind is drawn twice: exactly, and as a ray caster and a camera of 8 bits would: so many points to the pixel, each black or white.
 """
 
+from collections.abc import Iterator
 from itertools import product
 
 import cv2
@@ -17,7 +18,7 @@ QUADS, DRAWS, SAMPLES = 3, 8, 8
 WHITE, BLACK = 190.0, 20.0
 
 
-def bound(corners, number, blur, size):
+def bound(corners, number, blur, size) -> np.ndarray:
     """(8, 8) inverse of the information that pixels of unit noise hold on the corners; width and planes of black and white unknown.
 
     The pictures' own derivatives, by differences; pixels that see past the paper are left out.
@@ -39,7 +40,7 @@ def bound(corners, number, blur, size):
     return np.linalg.inv(J.T @ J)[:8, :8]
 
 
-def subpix(image, corners):
+def subpix(image, corners) -> np.ndarray:
     """(4, 2) corners that OpenCV refines from places half a pixel off, in the window that its detector takes by itself."""
     parameters = cv2.aruco.DetectorParameters()
     cell = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min() / 7
@@ -50,7 +51,7 @@ def subpix(image, corners):
     return cv2.cornerSubPix(eight, np.round(2 * corners).astype(np.float32)[:, None] / 2, (window, window), (-1, -1), criteria)[:, 0].astype(float)
 
 
-def cells(markers, seed=0):
+def cells(markers, seed=0) -> Iterator[tuple]:
     """Yield (exact, blur, noise, tilt, side, bound px, errors of ours (k, 4, 2), whether each lies in its 95 % ellipse, OpenCV's, left out)."""
     rng = np.random.default_rng(seed)
     for tilt, side, blur in product(TILTS, SIDES, BLURS):

@@ -1,7 +1,7 @@
 """Corrections: interpolation beside interpn and SciPy, the chain from a wanted pose to checked commands, forward kinematics."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import interpn
 import numpy as np
@@ -25,7 +25,7 @@ def best(call: Callable[[], object], times: int = 5) -> float:
     return min(took)
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     rng = np.random.default_rng(0)
     levels = tuple(np.linspace(0.4, 0.5, LEVELS) for _ in range(6))

@@ -4,6 +4,7 @@ import json
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from synthetic.score import case
@@ -15,7 +16,7 @@ REAL = ("tumbling-block", "arm-1")
 UNIT = {"m": (1e6, "um"), "px": (1, "px")}
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     for name in (*KNOWN, *REAL):
         if not (SHARED / "recordings" / name).is_dir():

@@ -5,6 +5,7 @@ Corner level, no images, whole diagnoses among the whole catalogue. Of each law 
 
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,13 @@ NAMED = ("backlash:strut3:gap=8e-5", "screw_coupling:rig:gain=0.6", "creep:rig:f
          "transmission_error:strut2:profile=0/2e-5/-2e-5/3e-5/0/2e-5/-3e-5/1e-5")
 
 
-def suggested(found):
+def suggested(found) -> tuple[set[str], float]:
     """Names of the covariates that a diagnosis suggests, and the held-out error over the noise."""
     names = {q.name for s in found.suggestions for q in s.written.quantities}
     return names, max((s.after / s.noise for s in found.suggestions), default=np.nan)
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     right, worst = 0, []
     with tempfile.TemporaryDirectory() as folder:

@@ -2,17 +2,19 @@
 
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from rig import design_file, layout
+from rig.design import Hexapod
 from rig.mechanisms import hexapod
 from rig.pose import exp
 
 
-def mechanism_of_bench():
+def mechanism_of_bench() -> Hexapod:
     """The Hexapod of `rig design --radius 0.3`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
@@ -20,7 +22,7 @@ def mechanism_of_bench():
         return design_file.load(path).mechanism
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     mechanism = mechanism_of_bench()
     low, high = mechanism.strut_range.T

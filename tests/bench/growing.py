@@ -5,6 +5,7 @@ import tempfile
 import threading
 import time
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -42,17 +43,17 @@ class _Source:
     def __init__(self, name, waiting, clock, taken):
         self.name, self._waiting, self._clock, self._taken = name, iter(waiting), clock, taken
 
-    def grab(self):
+    def grab(self) -> Frame:
         image = next(self._waiting)
         now = self._clock.now()
         self._taken[self.name].append(now)
         return Frame(image, now, 1e-4)
 
-    def close(self):
+    def close(self) -> None:
         pass
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """(figure, reached, wanted)"""
     with tempfile.TemporaryDirectory() as folder:
         delays = _run(Path(folder))

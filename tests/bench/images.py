@@ -6,6 +6,7 @@ Recordings are drawn, measured and diagnosed one after another, an hour of one c
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,7 +47,7 @@ class Told:
     ratio: float
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted). Three resolutions, two lenses, blur, defocus, vignetting, noise; ladders and repeats."""
     with tempfile.TemporaryDirectory() as folder:
         keep = Path(os.environ.get("IMAGES", folder))
@@ -171,7 +172,7 @@ def true_corners(case: blind.DrawnCase, observations: Observations) -> np.ndarra
     return quads[row.ravel(), o.corner]
 
 
-def revisited(T):
+def revisited(T) -> np.ndarray:
     """(F,) bool, which poses lie within NEAR of an earlier or a later one. T : RigidTransform (F,)"""
     apart = np.array([np.abs(difference(T, one)).max(axis=1) for one in T])
     return (apart < NEAR).sum(axis=1) > 1

@@ -3,16 +3,18 @@
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from calib.diagnose.problems.platform.diagnose import diagnose
-from calib.experiment.choose import choose, evaluate, kinds
+from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis, diagnose
+from calib.experiment.choose import Experiment, choose, evaluate, kinds
 from calib.experiment.hypotheses import questions
 from rig import design_file, layout, plan, recording
 from rig.effects.parse import parse, placed
 from rig.errors import RigError
+from rig.recording import Recording
 from synthetic import simulation, world
 from vision.together import together
 
@@ -31,7 +33,7 @@ PAIRS = {  # name: (first plan, the two of it; {axis}, {other}, {a} .. {b} a siz
 }
 
 
-def drawn(text, rng):
+def drawn(text, rng) -> str:
     """An effect's text with its {..} drawn."""
     axis, other = rng.permutation(6)[:2] + 1
     out = text.replace("{axis}", str(axis)).replace("{other}", str(other))
@@ -52,18 +54,18 @@ class Case:
         self.world, self.truth = world.draw(design, np.random.default_rng(seed), 1.0, effects), truth
         self.title = "" if truth is None else f"{effects[0].name.replace('_', ' ')} at {effects[0].place}"
 
-    def recorded(self, name, route):
+    def recorded(self, name, route) -> Recording:
         rng = np.random.default_rng([self.seed, *name.encode()])
         simulation.write(simulation.simulate(self.world, route, rng), self.folder / name, self.text, rng, NOISE)
         return recording.load(self.folder / name)
 
-    def first(self, text):
+    def first(self, text) -> tuple[Recording, PlatformDiagnosis]:
         """(Recording, its diagnosis) of a first plan."""
         found = self.recorded("first", plan.build(self.design, text, self.seed))
         return found, diagnose(found)
 
 
-def settle(case, first, found, pick):
+def settle(case, first, found, pick) -> tuple[PlatformDiagnosis, int, float, list[tuple[float, bool]]]:
     """(diagnosis, extra poses, min, [(stated, settled)]) of experiments that pick(questions, number, min left) chooses."""
     parts, poses, minutes, stated = [first], 0, 0.0, []
     for number in range(1, LOOKS):
@@ -78,7 +80,7 @@ def settle(case, first, found, pick):
     return found, poses, minutes, stated
 
 
-def best(design):
+def best(design) -> Callable[..., Experiment | None]:
     def chosen(asked, number, left):
         found, _ = choose(asked, design, kinds(("payload", "wait"), False), number, left)
         return found[0] if found and found[0].bits > 0.01 else None
@@ -86,7 +88,7 @@ def best(design):
     return chosen
 
 
-def at_random(design, rng):
+def at_random(design, rng) -> Callable[..., Experiment | None]:
     def random(asked, number, left):
         for text in rng.permutation(kinds(("payload", "wait"), False)):
             try:
@@ -100,7 +102,7 @@ def at_random(design, rng):
     return random
 
 
-def rows(rigs=12, quiet=6, draws=4):
+def rows(rigs=12, quiet=6, draws=4) -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     start, alike, right, ratios, stated, skipped = time.process_time(), 0, 0, [], [], 0
     with tempfile.TemporaryDirectory() as folder:
@@ -144,6 +146,6 @@ def _rig(path, by):
     return design_file.load(path), text
 
 
-def names(found):
+def names(found) -> list[str]:
     """Titles of a diagnosis' findings."""
     return [f"{e.name.replace('_', ' ')} at {e.place}" for e in found.effects]

@@ -4,6 +4,7 @@ import contextlib
 import io
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +36,7 @@ FEW = 3  # frames that SciPy, with differences for derivatives, is asked to adju
 EVERYTHING = ("poses", "lenses", "markers", "targets")
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     yield from _chessboard()
     yield from _sheet()

@@ -4,6 +4,7 @@ Corner level, no images. The floor is what measuring repeats to: the standard un
 """
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ ROUTE, GRID = "sobol:60,ladder:2,payload:10,moving:8,warmup:16", "grid:3"
 POSES, SEED = 200, 41
 
 
-def by_field(sampled, design, kind):
+def by_field(sampled, design, kind) -> Calibration:
     """Calibration of KSF by a way of extending it alone, on the owner's model."""
     samples, nominal = sampled.samples, design.mechanism
     found = geometry_of(samples, nominal, True)
@@ -30,7 +31,7 @@ def by_field(sampled, design, kind):
     return Calibration(correction, found.covariance, found.scatter, tuple(samples.frame.tolist()), (), None, {}, None, None)
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"

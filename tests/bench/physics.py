@@ -6,12 +6,14 @@ and driven; beside it the same recording calibrated plainly, and the same rig wi
 
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from rig import design_file, layout
 from rig.effects import BY_NAME
+from rig.effects.base import Effect
 from tests.calib.physical import three_ways
 
 RIGS = 3
@@ -27,7 +29,7 @@ SIZES = {  # place, {parameter: (low, high)} log-uniform between
 }
 
 
-def effect_of(name, rng):
+def effect_of(name, rng) -> Effect:
     """One of a kind of a size that shows, at a place of its own."""
     place, sizes = SIZES[name]
     place = f"strut {rng.integers(1, 7)}" if place == "strut" else place
@@ -39,7 +41,7 @@ def effect_of(name, rng):
     return BY_NAME[name](place, **values)
 
 
-def measured(name, rigs=RIGS, route=ROUTE, text=None):
+def measured(name, rigs=RIGS, route=ROUTE, text=None) -> np.ndarray:
     """(rigs, 3, 2) pose errors m and rad with physics, plain and without the effect, of one kind."""
     out = []
     with tempfile.TemporaryDirectory() as folder:
@@ -56,7 +58,7 @@ def measured(name, rigs=RIGS, route=ROUTE, text=None):
     return np.array(out)
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     for name in SIZES:
         e = measured(name)

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,7 @@ DRAWN = {"blur 0.3, noise 1": Sensor(blur=0.3, read_noise=1.0), "blur 0.7, noise
          "defocus 1.2, noise 1": Sensor(defocus=1.2, read_noise=1.0)}
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     here = Path(__file__).parents[2]
     scores = {}

@@ -2,6 +2,7 @@
 
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ RIGS, WEEK, QUIET = 10, 7, 20  # rigs; quiet visits before a change; quiet visit
 SOON = 2  # visits after a change by which it is to be noticed
 
 
-def rows(rigs=RIGS, quiet=QUIET):
+def rows(rigs=RIGS, quiet=QUIET) -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     noticed, named, alarms, looked, judged, missed = 0, 0, 0, 0, 0, []
     start = time.process_time()

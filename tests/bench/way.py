@@ -4,6 +4,7 @@ import json
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from tests.cli import RIG
 from tests.conftest import SHARED
 
 
-def rows():
+def rows() -> Iterator[tuple[str, str, str]]:
     """Yield (figure, reached, wanted)."""
     if not SHARED.is_dir():
         yield "the shared recordings are not beside the project", "skipped", ""
