@@ -71,15 +71,15 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     print(f"{len(samples)} poses from {found.source}, learnt one at a time by {arguments.learner} ({learner.SETTING} {learner.setting:g})"
           + (f" after {before} before" if before else ""))
     _tell(errors)
-    moved = learner.p - parameters(hexapod_of(recording.design.mechanism))
-    known = "" if learner.covariance is None else f", known to {np.sqrt(np.mean(np.diag(learner.covariance))) * 1e3:.4f} mm RMS"
-    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml{known}")
+    moved = float(np.sqrt(np.mean((learner.p - parameters(hexapod_of(recording.design.mechanism))) ** 2)))
+    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
+    known = "" if sigma is None else f", known to {sigma * 1e3:.4f} mm RMS"
+    print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml{known}")
     print_unsolved(found.measurement)
     if state is not None:
         learner_file.save(state, learner)
         print(f"written: {arguments.state}")
-    sigma = None if learner.covariance is None else float(np.sqrt(np.mean(np.diag(learner.covariance))))
-    return Learnt(samples.frame, errors, found.source, (), (), sigma, float(np.sqrt(np.mean(moved**2))))
+    return Learnt(samples.frame, errors, found.source, (), (), sigma, moved)
 
 
 def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:

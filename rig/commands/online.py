@@ -110,10 +110,10 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
         progress("learning", len(updates), len(samples))
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
-    moved = learner.p - parameters(mechanism)
-    print(f"joints and zeros moved by {np.sqrt(np.mean(moved**2)) * 1e3:.4f} mm RMS from rig.toml")
+    moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
+    print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
-    taught = _learnt(learner, updates, samples.frame, found.source, float(np.sqrt(np.mean(moved**2))))
+    taught = _learnt(learner, updates, samples.frame, found.source, moved)
     return learner, taught, _result(learner, updates, samples.frame)
 
 

@@ -61,7 +61,8 @@ def catalogue(plugins: Iterable[Plugin]) -> dict[str, type[Effect]]:
     for plugin in plugins:
         for kind in plugin.kinds:
             if kind.name in out:
-                raise FileError(plugin.path, f"there is an effect {kind.name!r} already, in {where[kind.name]}", _line(plugin.path, kind))
+                raise FileError(plugin.path, f"there is an effect {kind.name!r} already, in {where[kind.name]}",
+                                _line(plugin.path.read_text(encoding="utf-8"), kind))
             out[kind.name], where[kind.name] = kind, plugin.path
     return out
 
@@ -77,16 +78,15 @@ def of_source(text: str, path: Path) -> tuple[type[Effect], ...]:
         raise FileError(path, f"is no Python: {error.msg}", error.lineno, error.offset) from None
     except Exception as error:
         raise FileError(path, f"cannot be run: {type(error).__name__}: {error}", _within(error, path)) from None
-    lines = {node.name: node.lineno for node in ast.parse(text).body if isinstance(node, ast.ClassDef)}
     found = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__]
     if not found:
         raise FileError(path, "defines no effect: a dataclass that stands on rig.effects.base.Effect")
     for kind in found:
         problem = _problem(kind)
         if problem:
-            raise FileError(path, f"{kind.__name__} {problem}", lines.get(kind.__name__))
+            raise FileError(path, f"{kind.__name__} {problem}", _line(text, kind))
     for kind in found:
-        _guard(kind, path, lines.get(kind.__name__))
+        _guard(kind, path, _line(text, kind))
     return tuple(found)
 
 
@@ -191,6 +191,6 @@ def _within(error: Exception, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-def _line(path: Path, kind: type[Effect]) -> int | None:
-    return next((node.lineno for node in ast.parse(path.read_text(encoding="utf-8")).body
-                 if isinstance(node, ast.ClassDef) and node.name == kind.__name__), None)
+def _line(text: str, kind: type[Effect]) -> int | None:
+    """Where a source text defines a class; None where that is not at its top level."""
+    return next((node.lineno for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == kind.__name__), None)
