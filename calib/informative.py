@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.correct.correction import closed
 from calib.freedoms import freedoms
-from calib.identify.d_optimal import exchanged
+from calib.identify.d_optimal import exchanged, summed
 from rig import mechanisms
 from rig.configurations import low_discrepancy
 from rig.design import Arm, Chain, Planar2
-from rig.errors import NotConverged, RigError
+from rig.errors import RigError
 
 CANDIDATES = 1500
 FILL = 0.95  # of the travels
@@ -39,9 +40,12 @@ def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, fl
     """Informative configurations, `count` of them. sigmas : (m, rad) standard deviations of a measured pose, per axis
 
     shown : how many markers of what moves are seen at poses (n,), or None where an instrument sees it anywhere; progress : called with (done, of)
-    Raises RigError for too few configurations to hold the parameters, or where too few candidates are seen
+    Raises RigError for too few configurations to hold the parameters, or where too few candidates close on a pose or are seen
     """
-    values, T = _closing(low_discrepancy(mechanisms.of(mechanism).travel(mechanism), CANDIDATES, FILL, seed), mechanism)
+    kinematics = mechanisms.of(mechanism)
+    values = low_discrepancy(kinematics.travel(mechanism), CANDIDATES, FILL, seed)
+    index, T = closed(values, lambda some: kinematics.forward(some, mechanism))
+    values = values[index]
     seen = np.ones(len(values), bool) if shown is None else shown(T) >= FEWEST
     asked = freedoms(mechanism)
     size = asked.size
@@ -58,22 +62,8 @@ def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, fl
     start = np.eye(len(size)) if asked.alike else np.zeros((len(size), len(size)))
     picked = exchanged(rows, start, count, "determinant", progress)
     even = np.linspace(0, len(rows) - 1, count).astype(int)
-    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + _sum(rows[picked]))
+    told_by, vectors = np.linalg.eigh(np.eye(len(size)) + summed(rows, picked))
     sharp = vectors[:, told_by > TOLD]
-    sigma, plain = (size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + _sum(rows[chosen])) @ sharp, sharp))
+    sigma, plain = (size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + summed(rows, chosen)) @ sharp, sharp))
                     for chosen in (picked, even))
     return Informative(values[seen][picked], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))
-
-
-def _closing(values: np.ndarray, mechanism: Arm | Chain | Planar2) -> tuple[np.ndarray, RigidTransform]:
-    """(those of the values (n, axes) that close on a pose, their poses)."""
-    while True:
-        try:
-            return values, mechanisms.of(mechanism).forward(values, mechanism)
-        except NotConverged as error:
-            values = np.delete(values, error.index, axis=0)
-
-
-def _sum(rows: np.ndarray) -> np.ndarray:
-    flat = rows.reshape(-1, rows.shape[-1])
-    return flat.T @ flat

@@ -8,8 +8,8 @@ taken for a place. Only a place that chance does not explain, and that does more
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
 
 from calib.drift.linear import of_base
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian, with_parameters
@@ -47,7 +47,7 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
     Raises what sampling raises
     """
     samples, m = sample_recording(recording).samples, struts_of(recording.design.mechanism)
-    number = np.searchsorted([part.frames for part in recording.parts], samples.frame, side="right") - 1
+    number = _numbers(recording, samples.frame)
     motions, scatter, start = np.zeros((len(recording.parts), 6)), np.zeros((len(recording.parts), len(m.axes))), parameters(m)
     for _ in range(ROUNDS):
         at = replace(samples, T_base_platform=_back(samples.T_base_platform, motions[number]))
@@ -57,7 +57,7 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
     places = []
     for k, motion in enumerate(motions[1:]):
         rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
-        p = float(chi2.sf(motion @ np.linalg.solve(covariance[rows, rows], motion), 6))
+        p = float(scipy.stats.chi2.sf(motion @ np.linalg.solve(covariance[rows, rows], motion), 6))
         if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
             places.append(Place(k + 1, motion, p))
     return _taken(recording, places), places
@@ -105,5 +105,10 @@ def _taken(recording: Recording, places: list[Place]) -> Recording:
     motions = np.zeros((len(recording.parts), 6))
     for place in places:
         motions[place.recording] = place.motion
-    number = np.searchsorted([part.frames for part in recording.parts], poses.frame, side="right") - 1
-    return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, motions[number])))
+    turned = motions[_numbers(recording, poses.frame)]
+    return replace(recording, poses=replace(poses, T_base_platform=_back(poses.T_base_platform, turned)))
+
+
+def _numbers(recording: Recording, frame: np.ndarray) -> np.ndarray:
+    """(n,) which of several recordings together, from 0, frames (n,) are of."""
+    return np.searchsorted([part.frames for part in recording.parts], frame, side="right") - 1

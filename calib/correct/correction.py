@@ -151,16 +151,19 @@ class Correction(Generic[M, R]):
 
 def closing(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
     """Those of the commands (m, axes) m or rad that close on a pose, and these poses (k,). Raises NotConverged where none does."""
-    index, T = closed(commands, correction)
+    index, T = closed(commands, correction.predict)
     return commands[index], T
 
 
-def closed(commands: np.ndarray, correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
-    """(index (k,) of those of the commands (m, axes) m or rad that close on a pose, these poses (k,)). Raises NotConverged where none does."""
+def closed(commands: np.ndarray, predict: Callable[[np.ndarray], RigidTransform]) -> tuple[np.ndarray, RigidTransform]:
+    """(index (k,) of those of the commands (m, axes) m or rad that close on a pose, these poses (k,)), by what predicts poses of commands.
+
+    Raises NotConverged where none does
+    """
     index = np.arange(len(commands))
     while True:
         try:
-            return index, correction.predict(commands[index])
+            return index, predict(commands[index])
         except NotConverged as error:
             index = np.delete(index, error.index)
             if not len(index):

@@ -8,10 +8,11 @@ from threadpoolctl import threadpool_limits
 
 from calib.certify.certificate import Certified, Progress, silent
 from calib.correct.physics import Physics, Unknown
+from calib.diagnose.engine.chance import Z95
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.marker_identity import exchanged
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
-from calib.diagnose.problems.platform.refine import Z95, Refined, refine
+from calib.diagnose.problems.platform.refine import Refined, refine
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.schema import SCHEMA, UNKNOWN
 from calib.identify.geometry import Loops, parameters

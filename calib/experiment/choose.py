@@ -8,12 +8,12 @@ import numpy as np
 
 from calib.experiment.foretold import foretold
 from calib.experiment.hypotheses import Question
+from calib.experiment.record import SETTING_UP
 from calib.experiment.worth import Worth, worth
 from rig.design import Design
 from rig.errors import RigError
 from rig.plan import Plan, build
 
-SETTING_UP = 1.0  # min that an experiment takes besides its plan
 PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30")  # at whose exposures the struts stand
 MOVING = ("moving:16", "zigzag:16", "zigzag:40")
 WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
@@ -98,4 +98,3 @@ def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int) ->
 
 def _worth(question: Question, plan: Plan) -> Worth:
     return worth(np.array([h.odds for h in question.hypotheses]), foretold(question, plan))
-

@@ -18,8 +18,8 @@ from calib.diagnose.problems.platform.linearised import LinearisedModel, lineari
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
-from calib.experiment.hypotheses import Hypothesis, Question, beforehand
 from calib.diagnose.report.schema import UNKNOWN
+from calib.experiment.hypotheses import Hypothesis, Question, beforehand
 from rig import machine, mechanisms
 from rig.design import Design
 from rig.effects.base import Effect
@@ -48,22 +48,22 @@ class Foretold:
 
 def foretold(question: Question, plan: Plan) -> Foretold:
     """Foretold of a question's hypotheses under a plan. Raises RigError where the rig as found cannot follow it, or no camera sees some of it"""
-    first, *_ = named = question.named
-    point = _latest(first.fitted.point)
-    sensors = _course(point, plan)
+    named = question.named
     fits = [h.fitted for h in named]
+    point = _latest(fits[0].point)
+    sensors = _course(point, plan)
     runs = [_poses(fit, point.design, plan, sensors) for fit in fits]
     here = _there(point, fits[0], plan, sensors, runs[0])
     model = linearise(here)
     sensitivities = Sensitivities(here)
     columns: list[Column] = []
     moved: list[Column] = []
-    for fit, T in zip(fits, runs):
+    shapes: list[Column] = []
+    for h, fit, T in zip(named, fits, runs):
         at = replace(model, point=here.with_effects(fit.point.effects))
         columns.append(tangents(at, sensitivities)[1] or _none(model))
         moved.append(_between(model, here, replace(here, T=T, design=_as_found(fit, here.design)).with_effects(fit.point.effects)))
-    shapes = [change(replace(model, point=here.with_effects(fit.point.effects)), _without(fit.point.effects, h.number))
-              for h, fit in zip(named, fits)]
+        shapes.append(change(at, _without(fit.point.effects, h.number)))
     counts = [c.count for c in columns]
     everything = joined([Column(c.parts) for c in (*columns, *moved, *shapes)])
     found = model.linear.project(everything)
@@ -75,7 +75,7 @@ def foretold(question: Question, plan: Plan) -> Foretold:
     means, covariances = parts[len(counts)].T, []
     for fit, tangent in zip(fits, parts):
         spread = np.concatenate([nuisances, tangent], axis=1)
-        known = _known(fit, model, len(fit.coordinates))
+        known = _known(fit, model)
         covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
     cosines = _cosines(named, fits, model, parts[-1], nuisances)
     return _with_foreign(question, means, np.array(covariances), cosines, parts[-1])
@@ -122,8 +122,7 @@ def _poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) ->
     return machine.run(_as_found(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
 
 
-def _there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None,
-           T: RigidTransform) -> OperatingPoint:
+def _there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform) -> OperatingPoint:
     """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before."""
     rng, design, F = np.random.default_rng(SEED), _as_found(fit, point.design), len(plan.t)
     here = OperatingPoint(design, replace(point.stated, cameras=design.cameras), np.arange(F), plan.t, T, {}, None, plan.commands, sensors, None,
@@ -167,21 +166,18 @@ def _without(effects: Sequence[Effect], number: int) -> list[Effect]:
     return [e for i, e in enumerate(effects) if i != number]
 
 
-def _known(fit: Refined, new: LinearisedModel, count: int) -> np.ndarray:
+def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so far have them."""
-    model, names = fit.model, list(fit.model.nuisances.names)
+    model, names, count = fit.model, list(fit.model.nuisances.names), len(fit.coordinates)
     P = np.linalg.pinv(model.nuisances.solve)
-    N = P.T @ P
-    wide = beforehand(fit.coordinates, fit.point.effects)
     information = np.zeros((len(names) + count, len(names) + count))
-    information[: len(names), : len(names)] = N
+    information[: len(names), : len(names)] = P.T @ P
     if fit.column is not None and count:
-        found = model.linear.project(fit.column)
+        found, wide = model.linear.project(fit.column), beforehand(fit.coordinates, fit.point.effects)
         information[: len(names), len(names) :] = P.T @ found.onto
         information[len(names) :, : len(names)] = found.onto.T @ P
         information[len(names) :, len(names) :] = found.gram + found.onto.T @ found.onto + np.diag(1 / wide**2)
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    covariance = np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
+    covariance = _inverse(information)
     at = [names.index(name) for name in new.nuisances.names] + list(range(len(names), len(names) + count))
     return covariance[np.ix_(at, at)]
 
@@ -197,8 +193,12 @@ def _cosines(named: Sequence[Hypothesis], fits: Sequence[Refined], new: Linearis
     at = [names.index(name) for name in new.nuisances.names]
     N[np.ix_(at, at)] += nuisances.T @ nuisances
     K[at] += nuisances.T @ shapes
-    scale = 1 / np.sqrt(np.maximum(np.diag(N), 1e-300))
-    left = G + shapes.T @ shapes - K.T @ (scale[:, None] * (np.linalg.pinv(N * scale[:, None] * scale, rcond=1e-13, hermitian=True)
-                                                           @ (scale[:, None] * K)))
+    left = G + shapes.T @ shapes - K.T @ _inverse(N) @ K
     size = np.sqrt(np.maximum(np.diag(left), 1e-300))
     return left / size[:, None] / size
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """(p, p) pseudo-inverse of information (p, p) whose numbers are of different units: scaled to a diagonal of ones first."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale

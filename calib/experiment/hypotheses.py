@@ -35,11 +35,6 @@ class Hypothesis:
         return f"{self.name.replace('_', ' ')} at {self.place}" if self.name != UNKNOWN else "something in no catalogue"
 
     @property
-    def effect(self) -> Effect:
-        """The effect as fitted. Raises ValueError where it cannot be."""
-        return self.fitted.point.effects[self.number]
-
-    @property
     def fitted(self) -> Refined:
         """Refined with it. Raises ValueError where there is none."""
         if self.refined is None:
@@ -58,11 +53,6 @@ class Question:
     def named(self) -> tuple[Hypothesis, ...]:
         """Those with a name."""
         return tuple(h for h in self.hypotheses if h.name != UNKNOWN)
-
-    @property
-    def title(self) -> str:
-        """In words."""
-        return " or ".join(h.title for h in self.named)
 
 
 def questions(diagnosis: PlatformDiagnosis) -> list[Question]:

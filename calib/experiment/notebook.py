@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 from calib.experiment.record import Look, Proposed
 
-GONE = 0.05  # share below which a hypothesis is told apart: odds of 20 to 1
-
 
 def notebook(rig: str, looks: Sequence[Look], budget: float, ended: str, after: Sequence[str]) -> str:
     """Markdown of an investigation. rig : its name; budget : min; ended : why it ended, "" while it goes on; after : what was done at the end"""
@@ -25,11 +23,6 @@ def spent(looks: Sequence[Look]) -> float:
 def chosen(look: Look) -> Proposed | None:
     """The experiment that follows a look, None where none would tell."""
     return look.proposed[0] if look.proposed else None
-
-
-def settled(before: Look, look: Look) -> bool:
-    """Whether what was alike before is alike no more."""
-    return not look.questions
 
 
 def _tried(before: Look | None, look: Look) -> list[str]:
@@ -54,5 +47,5 @@ def _seen(before: Look | None, look: Look) -> list[str]:
         dropped = [title for title, odds in before.odds.items() if title not in look.odds and odds > 0]
         out += [f"- dropped: {title} (odds before {before.odds[title]:.2f}); with {look.recording} it explains less than 1 in 20 of what is left, "
                 "or nothing" for title in dropped]
-        out += [f"- settled: {'yes' if settled(before, look) else 'no'}"] if before.questions else []
+        out += [f"- settled: {'no' if look.questions else 'yes'}"] if before.questions else []
     return ["Seen, of all recordings together:", "", *out]

@@ -49,7 +49,7 @@ def lost(correction: Correction[Any, Any], configurations: np.ndarray) -> np.nda
     configurations = np.asarray(configurations, float)
     out = np.ones(len(configurations), bool)
     try:
-        index, T = closed(configurations, owners(correction))
+        index, T = closed(configurations, owners(correction).predict)
     except NotConverged:
         return out
     out[index] = ~_reached(correction.near(T, configurations[index]), T, correction)
@@ -64,7 +64,7 @@ def _reached(needed: np.ndarray, T: RigidTransform, machine: Correction[Any, Any
     if not len(inside):
         return reached
     try:
-        index, given = closed(needed[inside], machine)
+        index, given = closed(needed[inside], machine.predict)
     except NotConverged:
         return reached
     there = inside[index]

@@ -12,8 +12,19 @@ WARM = "sobol:50,warmup:16,sobol:50,warmup:16,sobol:50"  # hours, in which the r
 PLAN = "moving:24,sobol:60,ladder:6,moving:24,sobol:40"  # frames with speeds and steps of both directions, over some twenty minutes
 
 
+class OnStrut(Effect):
+    """A law of one strut, which errs by what `law` makes of a motion: (n, struts) or (n, 1) m."""
+
+    __slots__ = ()
+    stage = "struts"
+    places = ("strut",)
+
+    def deviation(self, motion):
+        return self.axes(motion.places) * self.law(motion)
+
+
 @dataclass(frozen=True, slots=True)
-class WavyCoupling(Effect):
+class WavyCoupling(OnStrut):
     """A strut takes part in another's travel as a sinusoid: amplitude m, wavelength m, phase rad."""
 
     place: str
@@ -22,11 +33,9 @@ class WavyCoupling(Effect):
     wavelength: float
     phase: float
     name = "wavy_coupling"
-    stage = "struts"
-    places = ("strut",)
 
-    def deviation(self, motion):
-        return self.axes(motion.places) * self.amplitude * np.sin(2 * np.pi * motion.stroke[:, [self.other - 1]] / self.wavelength + self.phase)
+    def law(self, motion):
+        return self.amplitude * np.sin(2 * np.pi * motion.stroke[:, [self.other - 1]] / self.wavelength + self.phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,53 +58,47 @@ class CubicSag(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class WarmPose(Effect):
+class WarmPose(OnStrut):
     """A strut errs by size m/(m K) times how far the platform went along y, times how far the room is from 20 C."""
 
     place: str
     size: float
     name = "warm_pose"
-    stage = "struts"
-    places = ("strut",)
     on_pose = True
 
-    def deviation(self, motion):
+    def law(self, motion):
         y = motion.T.translation[:, 1] - motion.mechanism.home.translation[1]
-        return self.axes(motion.places) * self.size * (y * (motion.channel("ambient_temperature_C") - 20))[:, None]
+        return self.size * (y * (motion.channel("ambient_temperature_C") - 20))[:, None]
 
 
 @dataclass(frozen=True, slots=True)
-class RateTimesLength(Effect):
+class RateTimesLength(OnStrut):
     """A strut falls back by size s/m times its speed times its stroke."""
 
     place: str
     size: float
     name = "rate_times_length"
-    stage = "struts"
-    places = ("strut",)
 
-    def deviation(self, motion):
-        return self.axes(motion.places) * self.size * motion.path.speed * motion.stroke
+    def law(self, motion):
+        return self.size * motion.path.speed * motion.stroke
 
 
 @dataclass(frozen=True, slots=True)
-class OneSided(Effect):
+class OneSided(OnStrut):
     """A strut errs by size m/m times how far the platform went along x, with the sign of that strut's last move."""
 
     place: str
     size: float
     name = "one_sided"
-    stage = "struts"
-    places = ("strut",)
     on_pose = True
 
-    def deviation(self, motion):
+    def law(self, motion):
         x = motion.T.translation[:, [0]] - motion.mechanism.home.translation[0]
-        return self.axes(motion.places) * self.size * np.sign(motion.path.since_reversal) * x
+        return self.size * np.sign(motion.path.since_reversal) * x
 
 
 @dataclass(frozen=True, slots=True)
-class DriftingSine(Effect):
+class DriftingSine(OnStrut):
     """A strut swings slowly in time, ever more: amplitude m at the end, nothing at first; period s, phase rad."""
 
     place: str
@@ -104,12 +107,10 @@ class DriftingSine(Effect):
     phase: float
     end: float
     name = "drifting_sine"
-    stage = "struts"
-    places = ("strut",)
 
-    def deviation(self, motion):
+    def law(self, motion):
         swing = self.amplitude * (0.4 + 0.6 * motion.t / self.end) * np.sin(2 * np.pi * motion.t / self.period + self.phase)
-        return self.axes(motion.places) * swing[:, None]
+        return swing[:, None]
 
 
 LAWS = ("a coupling as a sine of another strut", "a cubic sag", "a pose times a temperature", "a speed times a length",

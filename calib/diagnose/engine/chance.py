@@ -14,6 +14,7 @@ from scipy.special import gammaln
 from calib.diagnose.engine.linear import LinearModel
 from calib.diagnose.engine.products import SWALLOWED, FrameProducts
 
+Z95 = 1.959964  # normal quantile of a 95 % interval
 MANY = 2000  # frames from which Fisher's F is chi-square
 
 

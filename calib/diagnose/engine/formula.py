@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from calib.diagnose.engine.library import FINE, Atom, Library, Wave
 from calib.diagnose.engine.reduced import Reduced, Stack
@@ -137,8 +137,8 @@ class Search:
                 return tuple(a._replace(wave=Wave(wave.quantity, float(frequency))) if a.wave == wave else a for a in now)
 
             low, high = max(wave.frequency - step, step / 2), wave.frequency + step
-            found = minimize_scalar(lambda w, at=at: min(self.length(at(w)), 1e300), bounds=(low, high), method="bounded",
-                                    options={"xatol": CLOSER * wave.frequency})
+            found = scipy.optimize.minimize_scalar(lambda w, at=at: min(self.length(at(w)), 1e300), bounds=(low, high), method="bounded",
+                                                   options={"xatol": CLOSER * wave.frequency})
             atoms = min(atoms, at(found.x), key=self.length)
         return atoms
 

@@ -62,11 +62,6 @@ class Atom(NamedTuple):
         own = {i for i, _ in self.powers}
         return frozenset(own if self.wave is None else own | {self.wave.quantity})
 
-    def same(self, other: "Atom") -> bool:
-        """Whether it differs from another by nothing, or by its wave's frequency alone."""
-        waves = [a.wave.quantity if a.wave is not None else None for a in (self, other)]
-        return self._replace(wave=None) == other._replace(wave=None) and waves[0] == waves[1]
-
 
 @dataclass(frozen=True, eq=False)
 class Library:

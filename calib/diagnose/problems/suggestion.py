@@ -58,12 +58,13 @@ def written(formula: Formula, library: Library, word: str, alike: bool) -> Writt
     """Written of a Formula in a Library. word : what the axes are called; alike : whether it holds of all of them"""
     terms, at = [], 0
     for atom in formula.atoms:
-        count = 1 if atom.wave is None else 2
-        wave = None if atom.wave is None else library.quantities[atom.wave.quantity]
-        terms.append(Term(tuple((library.quantities[i].name, power) for i, power in atom.powers),
-                          None if atom.wave is None or wave is None else (wave.name, atom.wave.frequency),
+        count, wave, turns = 1, None, 0.0
+        if atom.wave is not None:
+            swung = library.quantities[atom.wave.quantity]
+            count, wave, turns = 2, (swung.name, atom.wave.frequency), atom.wave.frequency * swung.range / (2 * np.pi)
+        terms.append(Term(tuple((library.quantities[i].name, power) for i, power in atom.powers), wave,
                           None if atom.direction is None else POSE[atom.direction], tuple(formula.coefficients[at : at + count].tolist()),
-                          library.scale(atom), 0.0 if atom.wave is None or wave is None else atom.wave.frequency * wave.range / (2 * np.pi)))
+                          library.scale(atom), turns))
         at += count
     return Written(word, tuple(terms), alike)
 

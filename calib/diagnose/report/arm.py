@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_solve
 
+from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.arm.candidates import SPAN, Form
@@ -36,7 +37,6 @@ from rig.files import write_text
 from rig.recording import Recording
 
 SAME_ANGLE = 0.02  # rad; nearer angles than that share a joint's profile
-Z95 = 1.959964
 SMALL = 1e-4  # step of an order, for its derivative
 
 

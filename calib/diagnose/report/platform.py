@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.lack_of_fit import LackOfFit, first_of_each_place
 from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
-from calib.diagnose.problems.platform.refine import Z95, Refined
+from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.tolerated import Slight
 from calib.diagnose.report.schema import (
     UNKNOWN,

@@ -10,7 +10,6 @@ from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
 from calib.diagnose.engine.given import UNSAID, Given
 from calib.diagnose.engine.lack_of_fit import LackOfFit
-from rig.parallel import parallel_map
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import Finding, choose, labelled, select
@@ -22,8 +21,8 @@ from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.poses import Arms, Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
-from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.asked import Asked, answerable
+from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.temperature_smoothing import smoothed
 from calib.pipeline import sample_recording
 from rig.design import Arm, Chain
@@ -31,6 +30,7 @@ from rig.effects import ALL
 from rig.effects.base import Effect
 from rig.effects.plugin import Plugin
 from rig.origin import Origin
+from rig.parallel import parallel_map
 from rig.recording import Part, Recording
 
 PARTS = 3

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.crossvalidate import FOLDS, STRETCHES, signed_rank_gain, stretches
 from calib.diagnose.engine.formula import Formula, Search
 from calib.diagnose.engine.lack_of_fit import LackOfFit
@@ -16,9 +17,9 @@ from calib.diagnose.problems.arm.nonlinear import joint_covariance, sought
 from calib.diagnose.problems.arm.search import joint_products
 from calib.diagnose.problems.arm.simplify import bettered
 from calib.diagnose.problems.suggestion import AGREE, NAME, Suggestion, library_of, looked_at, written
+from rig.effects.written import Written
 
 SHOWN = 2  # joints of which a formula is held out: something unnamed remains of every real arm, and the largest are worth a look
-Z95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +62,15 @@ def _best(now: Fit, joint: int, library: Library) -> Formula | None:
     return Search(library, Reduced.of(joint_products(now, joint), np.flatnonzero(now.used)), floor).best()
 
 
+def _written(now: Fit, found: Found, formula: Formula) -> Written:
+    """Written of a Formula at a joint."""
+    return written(formula, found.library, now.arms.context.moved().kind.AXIS, False)
+
+
 def _term(now: Fit, found: Found, formula: Formula) -> Term:
     """The Term of a Formula at a joint, as its own file makes it."""
-    motion = now.arms.context.moved()
-    form = written(formula, found.library, motion.kind.AXIS, False)
-    (spec,) = form.kind(NAME).candidates(motion.places[found.joint], now.arms.context)
+    form = _written(now, found, formula)
+    (spec,) = form.kind(NAME).candidates(now.arms.context.moved().places[found.joint], now.arms.context)
     return Term.at(joint_candidate((spec,), now.arms), {name: form.values[name] for name in form.waves.values()})
 
 
@@ -94,7 +99,6 @@ def _suggested(now: Fit, found: Found) -> tuple[Suggestion, Fit] | None:
     noise = float(np.sqrt(np.einsum("nkk->nk", arms.own)[now.used, :3].sum(axis=1).mean()))
     place = arms.context.moved().places[found.joint]
     intervals = {name: (v, v - s, v + s) for name, v, s in zip(names, values, sigma.tolist())}
-    form = written(found.formula, found.library, arms.context.moved().kind.AXIS, False)
     parts = tuple(looked_at(one, found.library) for one in chosen)
-    return Suggestion(place, form, term.candidate.effect(term.node, theta), intervals, lengths[0], lengths[1], noise, "m", gain, parts,
-                      found.formula.length), last
+    form, effect = _written(now, found, found.formula), term.candidate.effect(term.node, theta)
+    return Suggestion(place, form, effect, intervals, lengths[0], lengths[1], noise, "m", gain, parts, found.formula.length), last

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from rig.parallel import parallel_map
 from calib.diagnose.engine.ranking import Covariate, Share, ranked, share
 from calib.diagnose.problems.histories import courses, each_apart, moves
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.search import axis_products, corner_products
 from calib.diagnose.problems.platform.smooth import view_pixels
+from rig.parallel import parallel_map
 
 STRUTS, IMAGES = "struts", "images"
 

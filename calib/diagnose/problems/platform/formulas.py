@@ -105,7 +105,7 @@ def _found(problem: PlatformProblem, fit: PlatformFit, model: LinearisedModel, s
     first = _best(model, site)
     if first is None:
         return None
-    again = _weighed_beside(problem, fit, site.written(first).kind(NAME), site, first)
+    again = _weighed_beside(problem, fit, site, first)
     second = _best(again, site)
     return None if second is None else (site, second, again)
 
@@ -114,14 +114,15 @@ def _best(model: LinearisedModel, site: Site) -> Formula | None:
     return Search(site.library, Reduced.of(site.products(model), np.arange(model.frames)), site.floor(model)).best()
 
 
-def _effect(site: Site, formula: Formula, kind: type[Effect]) -> Effect:
-    return kind(site.place, **site.written(formula).values)
+def _effect(site: Site, formula: Formula) -> Effect:
+    form = site.written(formula)
+    return form.kind(NAME)(site.place, **form.values)
 
 
 def _description(problem: PlatformProblem, fit: PlatformFit, several: list[Found]) -> float:
     """Minus twice the log likelihood with formulas, struts weighed as they scatter beside them, and what the formulas cost."""
     k = fit.refined.point
-    effects = [_effect(site, formula, site.written(formula).kind(NAME)) for site, formula, _ in several]
+    effects = [_effect(site, formula) for site, formula, _ in several]
     new, _ = _with(problem, fit, k.with_effects((*k.effects, *effects)))
     return new.linear.cost() - 2 * float(np.linalg.slogdet(new.closures.W)[1].sum()) + sum(formula.cost for _, formula, _ in several)
 
@@ -135,10 +136,10 @@ def _with(problem: PlatformProblem, fit: PlatformFit, point: OperatingPoint) -> 
     return problem.beside_tolerances(new), bare
 
 
-def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, kind: type[Effect], site: Site, formula: Formula) -> LinearisedModel:
+def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: Formula) -> LinearisedModel:
     """LinearisedModel in which nothing of a Formula is taken off, and struts count for what they scatter beside it."""
     k = fit.refined.point
-    new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula, kind))))
+    new, bare = _with(problem, fit, k.with_effects((*k.effects, _effect(site, formula))))
     return replace(new, linear=_grown(new.linear, change(bare, k.effects).parts))
 
 
@@ -169,7 +170,7 @@ def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: 
     if gain < GAIN or sum(one is not None for one in chosen) < AGREE * len(chosen):
         return None
     k, struts = fit.refined.point, site.struts
-    refined = refine(k.with_effects((*k.effects, _effect(site, formula, site.written(formula).kind(NAME)))), problem.sensitivities)
+    refined = refine(k.with_effects((*k.effects, _effect(site, formula))), problem.sensitivities)
     inverse = np.linalg.inv(model.closures.W)
     before, after = (float(np.sqrt(np.mean((inverse @ left.reshape(model.frames, -1, 1))[:, struts] ** 2))) for left in (without, withit))
     noise = float(np.sqrt(np.mean((model.strut_noise() - model.closures.scatter**2)[:, struts])))

@@ -7,13 +7,13 @@ import numpy as np
 import scipy
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
-from rig.parallel import parallel_map
 from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.search import axis_products, corner_products, lasting
 from calib.diagnose.problems.platform.smooth import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
 from rig.effects.lens_distortion import LensDistortion
+from rig.parallel import parallel_map
 
 MEDIAN_SPREAD = 5.6  # variance of a sample's middle square over its square, times the sample's size, for normal residuals
 FAR = 5.0  # standard deviations; a residual counts for no more where neighbours are compared
@@ -50,7 +50,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         alike = float(following[1:, i] @ following[:-1, i])
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
         out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(scipy.stats.norm.sf(alike / np.sqrt(len(k.t) - 1))),
-                                 max(alike, 0.0)))
+                               max(alike, 0.0)))
     scatter = model.closures.scatter
     for i in np.flatnonzero(scatter > 0).tolist():
         noise = own[:, i].mean() - scatter[i] ** 2

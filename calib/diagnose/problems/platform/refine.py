@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
+from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
 from calib.diagnose.problems.platform.coordinates import tangents
@@ -29,7 +30,6 @@ HALVINGS = 8
 ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
 NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
-Z95 = 1.959964  # normal quantile of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,6 @@ import numpy as np
 from calib.diagnose.engine import products as inner
 from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
-from rig.parallel import Progress, parallel_map
 from calib.diagnose.engine.products import FrameProducts, Solved
 from calib.diagnose.engine.score import at_node, best_of, unlikely
 from calib.diagnose.problems.platform import spectrum
@@ -17,6 +16,7 @@ from calib.diagnose.problems.platform.candidates import PlatformCandidate, Platf
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from rig.effects.base import Motion
+from rig.parallel import Progress, parallel_map
 from vision.bundle.derivatives import derivatives
 
 CHUNK = 64  # nodes at a time
