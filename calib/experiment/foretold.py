@@ -27,7 +27,7 @@ from rig.errors import RigError
 from rig.observed import Corners
 from rig.plan import Plan, logged
 from rig.pose import exp
-from rig.recording import Sensors
+from rig.recording import PAYLOAD, Sensors
 from vision.observations import from_corners
 from vision.predict import State, facing, inside, see
 from vision.targets import marker_map
@@ -106,7 +106,7 @@ def _course(point: OperatingPoint, plan: Plan) -> Sensors | None:
     if log is None:
         return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
-    first = Sensors(log.t[:end], {name: values[:end] for name, values in log.channels.items() if name != "payload_mass_kg"})
+    first = Sensors(log.t[:end], {name: values[:end] for name, values in log.channels.items() if name != PAYLOAD})
     return logged(plan, first)
 
 

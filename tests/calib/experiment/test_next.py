@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from rig.cli import main
-from rig.plan import build, rows_of
-from rig.writing import write_table
+from rig.plan import build, write
 
 
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):
     plan = build(design, "sobol:3,payload:2,dwell:4", 3)
-    columns, rows = rows_of(plan)
-    write_table(tmp_path / "plan.csv", (*columns, *design.mechanism.axes), rows)
+    write(tmp_path / "plan.csv", plan, design.mechanism.axes)
     again = build(design, f"commands:{tmp_path / 'plan.csv'}")
     np.testing.assert_allclose(again.t, plan.t, atol=1e-4)
     np.testing.assert_allclose(again.commands.at(plan.t), plan.commands.at(plan.t), atol=2e-6)
