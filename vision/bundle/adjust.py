@@ -93,15 +93,14 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
     """
     stated = state if stated is None else stated
     u, estimate = unknowns(observations, state, stated, free, worth, printing)
-    W = whitener(observations)
     if 2 * len(observations) < int(u.used.sum()) + int((u.prior == 0).sum()):
         raise NotEnoughData(f"{len(observations)} corners cannot determine {int(u.used.sum()) + u.basis.shape[1]} unknowns")
     few, spare = condensed(observations, state)
-    V = W if few is observations else whitener(few)
+    W = whitener(few)
     damping, cost, blocks = 0.0, np.inf, None
     for _ in range(MAX_ITERATIONS):
         if blocks is None:
-            residual, derivatives = linearise(few, estimate, u, V)
+            residual, derivatives = linearise(few, estimate, u, W)
             away = offset(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
             blocks = normal_equations(few, derivatives, residual, u, away)
@@ -109,7 +108,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
                 progress(cost)
         steps = step(blocks, u, damping)
         moved = move(estimate, u, *steps)
-        new = cost_of(few, moved, stated, u, V) + spare
+        new = cost_of(few, moved, stated, u, W) + spare
         if not new <= cost:
             if promised(blocks, *(step(blocks, u) if damping else steps)) <= CONVERGED * max(cost, 1.0):
                 if new - cost <= CONVERGED * max(cost, 1.0):
@@ -125,7 +124,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
             break
     else:
         raise NoOptimum(f"the adjustment of {len(observations)} corners did not converge in {MAX_ITERATIONS} iterations")
-    return replace(_finish(observations, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
+    return replace(_finish(observations, few, W, to_datums(estimate, stated, u), stated, u, tuple(free)), printing=printing)
 
 
 def cost_of(observations: Observations, estimate: Estimate, stated: State, unknowns: Unknowns, W: Whitener) -> float:
@@ -136,9 +135,10 @@ def cost_of(observations: Observations, estimate: Estimate, stated: State, unkno
     return float((W(observations.uv - uv) ** 2).sum() + (unknowns.prior * offset(estimate, stated, unknowns) ** 2).sum())
 
 
-def _finish(observations: Observations, estimate: Estimate, stated: State, u: Unknowns, free: tuple[str, ...]) -> Adjustment:
-    few, _ = condensed(observations, estimate.state)
-    residual, derivatives = linearise(few, estimate, u, whitener(few))
+def _finish(observations: Observations, few: Observations, W: Whitener, estimate: Estimate, stated: State, u: Unknowns,
+            free: tuple[str, ...]) -> Adjustment:
+    """The Adjustment of Observations that were adjusted as few, with their Whitener."""
+    residual, derivatives = linearise(few, estimate, u, W)
     away = offset(estimate, stated, u)
     blocks = normal_equations(few, derivatives, residual, u, away)
     uv, _ = predict(observations, estimate.state)

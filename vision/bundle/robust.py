@@ -10,19 +10,18 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.errors import NotEnoughData
 from vision.bundle.adjust import Adjustment, adjust
-from vision.bundle.condensed import repeats
+from vision.bundle.condensed import repeats, sums
 from vision.observations import Observations, inverse_roots, only
 from vision.pose.frames import PLATFORM
+from vision.pose.refine import GATE, MEDIAN
 from vision.predict import State, predict
 
-GATE = 5.0  # standard deviations; a corner beyond is an outlier (3 in a million of honest ones are)
 ROUNDS = 8  # of adjusting and sorting out; a corner that still wavers then stays as it was adjusted
 CLOSING = 0.3  # by which a wide first gate closes with every round
 TIGHT = 0.5  # px; a gate narrower than this is no longer a first one
 STANDING_GROUPS = 20  # repeated corners from which their standing error can be told
 STANDING_PROOF = 4.0  # standard errors by which it must exceed chance
 BLURRED = 5.0  # px; what a narrower gate lets through may be blur, what a wider one does is a mistake
-MEDIAN = 1.386  # of chi-square with 2 degrees of freedom
 ALIKE = (1, 2, 3, 4, 6, 8, 12, 20, 40, 100)  # degrees of freedom of the frames' scatter; the largest: they are alike
 ENOUGH = 50  # degrees of freedom from which the residuals' own scale is trusted over the stated one
 
@@ -119,12 +118,12 @@ def standing_error(observations: Observations, inliers: np.ndarray, state: State
     back every time: n repeats are not n observations. Their scatter about their own mean is the noise; what their means miss
     beyond that is the standing error s, and weighing each repeat by C + n s^2 gives all n together the weight of one mean.
     """
-    rows, index, count = repeats(observations, inliers, state)
-    covariance = observations.covariance.copy()
+    rows, index, _ = repeats(observations, state.moving, inliers)
+    count, covariance = np.bincount(index), observations.covariance.copy()
     if not len(count) or (count > 1).sum() < STANDING_GROUPS:
         return covariance, 0.0
     residual = observations.uv[rows] - predict(observations.take(rows), state)[0]
-    mean = np.stack([np.bincount(index, weights=residual[:, c]) / count for c in range(2)], axis=1)
+    mean = sums(residual, index) / count[:, None]
     many = count > 1
     within = ((residual - mean[index])[many[index]] ** 2).sum() / (2 * (count[many] - 1).sum())
     unknowns = 12 * len(np.unique(observations.camera[rows]))  # what each camera bends to follow its standing errors

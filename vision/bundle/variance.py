@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.bundle.adjust import Adjustment, adjust
-from vision.bundle.condensed import repeats
+from vision.bundle.condensed import as_one, repeats, sums
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
 from vision.bundle.motions import offset
 from vision.bundle.printing import KINDS, NAMES, Printing
@@ -71,13 +71,10 @@ def printed(observations: Observations, fit: Sorted, free: tuple[str, ...]) -> S
 
 def _merged(observations: Observations, state: State) -> Observations:
     """Observations in which repeats of a corner are one, their mean, weighed as all of them: they count as one degree of freedom."""
-    rows, index, count = repeats(observations, np.ones(len(observations), bool), state)
-    uv, covariance, first = observations.uv.copy(), observations.covariance.copy(), rows[np.unique(index, return_index=True)[1]]
-    uv[first] = np.stack([np.bincount(index, weights=observations.uv[rows, c]) for c in range(2)], axis=1) / count[:, None]
-    covariance[first] /= count[:, None, None]
-    single = np.ones(len(observations), bool)
-    single[rows], single[first] = False, True
-    return replace(observations, uv=uv, covariance=covariance).take(single)
+    rows, group, first = repeats(observations, state.moving)
+    count = np.bincount(group)
+    return as_one(observations, rows, first, sums(observations.uv[rows], group) / count[:, None],
+                  observations.covariance[first] / count[:, None, None])
 
 
 def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _Told:

@@ -13,10 +13,10 @@ from vision import lens
 from vision.bundle.adjust import Adjustment, adjust
 from vision.lenses.board import Board, BoardView
 from vision.observations import Observations, only
+from vision.pose.refine import GATE, MEDIAN
 from vision.predict import State, predict
 
 MODELS = (0, 4, 5, 8, 12, 14)  # distortion terms, OpenCV's order; 0: a pinhole
-GATE = 5.0  # standard deviations; a corner beyond is an outlier
 ROUNDS = 6
 LEAST_CORNERS = 6  # in a photograph that counts
 LEAST_IMAGES = 3
@@ -80,7 +80,7 @@ def calibrate(observations: Observations, width: int, height: int, terms: int, n
         residuals = o.uv - predict(o, state)[0]
         square = (residuals**2).sum(axis=1)
         before, unmodelled = unmodelled, max((square[good] - np.einsum("nii->n", o.covariance)[good]).mean() / 2, 0.0)
-        near = square < GATE**2 * np.median(square) / 1.386 if inliers is None else good
+        near = square < GATE**2 * np.median(square) / MEDIAN if inliers is None else good
         if k and (near == good).all() and abs(unmodelled - before) <= 0.05 * before:
             break
         good = near

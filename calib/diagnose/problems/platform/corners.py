@@ -11,6 +11,7 @@ from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from vision import lens
 from vision.bundle.adjust import lens_prior
+from vision.bundle.condensed import repeats, sums
 from vision.bundle.derivatives import derivatives
 from vision.observations import Observations
 
@@ -125,18 +126,10 @@ def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:
     """(n, 2, 2) px^2 by which corners count: their covariance, and n times what comes back in all n repeats of a corner that stands still."""
     if not k.standing:
         return o.covariance
-    rows, index, count = _standing(o, k.moving)
+    rows, index, _ = repeats(o, k.moving)
     weights = o.covariance.copy()
-    weights[rows] += (count[index] * k.standing**2)[:, None, None] * np.eye(2)
+    weights[rows] += (np.bincount(index)[index] * k.standing**2)[:, None, None] * np.eye(2)
     return weights
-
-
-def _standing(o: Observations, moving: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows of corners that stand still, which one each is, how often it is seen)."""
-    rows = np.flatnonzero(~o.on_platform & ~np.isin(o.camera, list(moving)))
-    key = (o.camera[rows] * (o.marker.max(initial=0) + 1) + o.marker[rows]) * 4 + o.corner[rows]
-    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-    return rows, index, count
 
 
 def standing(point: OperatingPoint) -> float:
@@ -149,12 +142,13 @@ def standing(point: OperatingPoint) -> float:
     if k.seen is None:
         return 0.0
     o = k.observed.observations
-    rows, index, count = _standing(o, k.moving)
+    rows, index, _ = repeats(o, k.moving)
+    count = np.bincount(index)
     many = count >= REPEATS
     if many.sum() < STANDING_GROUPS:
         return 0.0
     off = (o.uv - k.pixels())[rows]
-    mean = np.stack([np.bincount(index, weights=off[:, c]) / count for c in range(2)], axis=1)
+    mean = sums(off, index) / count[:, None]
     chance = np.median((off - mean[index])[many[index]] ** 2) / MEDIAN / np.median(count[many])
     excess = np.median(mean[many] ** 2) / MEDIAN - chance
     return float(np.sqrt(excess)) if excess > STANDING_PROOF * chance / np.sqrt(many.sum()) else 0.0
