@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design, Hexapod
-from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, plate_radius, standing, strut_ends
+from synthetic.scene import PLATE, ROD_RADIUS, SHARE, STRUT_RADIUS, bodies, plate_radius, standing, strut_ends
 
 OWN_DEPTH = 2e-3  # m; what is nearer to the marker than this is the marker itself
 
@@ -19,16 +19,15 @@ def hidden(design: Design, stages: list[RigidTransform], frame: np.ndarray, eye:
     blocked = np.zeros(len(points), bool)
     length = np.linalg.norm(points - eye, axis=1, keepdims=True)
     ends = points - (points - eye) / length * OWN_DEPTH
-    bodies = {"base": np.broadcast_to(np.eye(4), (len(stages[-1]), 4, 4)), "platform": stages[-1].as_matrix()}
-    bodies |= {f"stage {k + 1}": T.as_matrix() for k, T in enumerate(stages[:-1])}
+    poses = bodies(stages)
 
     def within(body: str) -> tuple[np.ndarray, np.ndarray]:
         """(eyes, ends) (k, 3) m in the frame of a body."""
-        return (eye, ends) if body == "base" else (_into(bodies[body][frame], eye), _into(bodies[body][frame], ends))
+        return (eye, ends) if body == "base" else (_into(poses[body][frame], eye), _into(poses[body][frame], ends))
 
     for stands in standing(design.mechanism):
         a, b = within(stands.base)
-        low, high = strut_ends(stands.stage, RigidTransform.from_matrix(np.linalg.inv(bodies[stands.base])) * stages[stands.number])
+        low, high = strut_ends(stands.stage, RigidTransform.from_matrix(np.linalg.inv(poses[stands.base])) * stages[stands.number])
         radius = np.linalg.norm(stands.stage.base_joints, axis=1).mean() / 2
         for i in range(len(stands.stage.axes)):
             middle = low[:, i] + SHARE * (high[:, i] - low[:, i])

@@ -101,11 +101,16 @@ def standing(mechanism: Mechanism) -> list[Standing]:
             for k, stage in enumerate(stages) if isinstance(stage, Hexapod | Planar2)]
 
 
+def bodies(stages: list[RigidTransform]) -> dict[str, np.ndarray]:
+    """{body: (..., 4, 4) matrix to the base} of those between which struts stand. stages : where each stage's platform stands, RigidTransform
+    (...), the last alone but of a chain"""
+    *below, platform = (T.as_matrix() for T in stages)
+    return {"base": np.broadcast_to(np.eye(4), platform.shape), "platform": platform, **{f"stage {k + 1}": T for k, T in enumerate(below)}}
+
+
 def body_poses(mechanism: Mechanism, stages: list[RigidTransform]) -> dict[str, np.ndarray]:
-    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : where each stage's platform stands, the last alone
-    but of a chain"""
-    poses = {"world": np.eye(4), "base": np.eye(4), "platform": stages[-1].as_matrix()}
-    poses |= {f"stage {k + 1}": T.as_matrix() for k, T in enumerate(stages[:-1])}
+    """{body: (4, 4) matrix to the base} at one pose, struts as long as the pose asks. stages : see `bodies`, one pose each"""
+    poses = {"world": np.eye(4), **bodies(stages)}
     for stands in standing(mechanism):
         T_below = RigidTransform.from_matrix(poses[stands.base])
         ends = strut_ends(stands.stage, T_below.inv() * stages[stands.number])

@@ -1,13 +1,13 @@
 """Compile the kernels that most tests call once, on two cores, before each of the tests' processes would: python -m tests.compiled."""
 
 import subprocess
-import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from tests.cli import RIG
+
 BENCH = Path(__file__).parent / "data" / "bench"
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; sys.exit(main())"]
 
 
 def ways(folder: Path) -> tuple[list[list[str]], ...]:

@@ -11,12 +11,12 @@ WIDTH = 960  # px, of images on a page at most
 QUALITY = 80
 
 
-def jpeg(image: np.ndarray, quality: int = QUALITY) -> bytes:
+def jpeg(image: np.ndarray) -> bytes:
     """JPEG of an image (height, width) or (height, width, 3) as cameras give it, no wider than a page needs."""
     eight = grey(image)[0]
     if eight.shape[1] > WIDTH:
         eight = cv2.resize(eight, (WIDTH, round(eight.shape[0] * WIDTH / eight.shape[1])), interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    return cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
 
 
 def of_frame(recording: Recording, frame: int) -> dict[str, bytes]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from rig.errors import RigError
 from rig.pose import log
@@ -20,14 +20,13 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Elsewhere:
-    """A camera of a recording (its number, from 0) that stands elsewhere than before: by how far (m, rad), and how unlikely that is by chance.
+    """A camera of a recording (its number, from 0) that stands elsewhere than before, by how far (m, rad).
     NaN where it is another camera by what its rig.toml states."""
 
     recording: int
     camera: str
     distance: float
     angle: float
-    p_value: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +62,7 @@ def together(recordings: Sequence[Recording], progress: Progress | None = None) 
     """
     refuse(recordings)
     owners = unmoved(recordings)
-    moved = [Elsewhere(k, name, np.nan, np.nan, 0.0) for k, own in enumerate(owners) for name, j in own.items()
+    moved = [Elsewhere(k, name, np.nan, np.nan) for k, own in enumerate(owners) for name, j in own.items()
              if j == k and any(name in earlier for earlier in owners[:k])]
     if not by_instrument(recordings[0]):
         measured = [measure_recording(r, progress=None if progress is None else _of(progress, k, len(recordings)))[0]
@@ -94,20 +93,20 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
     """(Owners, [Elsewhere]) by where each measurement finds its cameras: one that stands where it stood is the latest of those there."""
     asked = sum(len(own) for own in owners[1:])
     out: list[dict[str, int]] = [dict(owners[0])]
-    moved = []
+    moved, places = [], [_places(one) for one in measured]
     for k in range(1, len(owners)):
         here = dict(owners[k])
         for name, stated in owners[k].items():
-            at = _places(measured[k]).get(name)
+            at = places[k].get(name)
             if stated == k or at is None:
                 continue
             earlier = sorted({o[name] for o in out if name in o and o[name] >= stated}, reverse=True)
-            apart = [(j, *_apart(_places(measured[j])[name], at)) for j in earlier if name in _places(measured[j])]
+            apart = [(j, *_apart(places[j][name], at)) for j in earlier if name in places[j]]
             same = next((j for j, _, p in apart if p * asked > ALIKE), None)
             if same is None and apart:
                 here[name] = k
-                _, motion, p = apart[0]
-                moved.append(Elsewhere(k, name, float(np.linalg.norm(motion[:3])), float(np.linalg.norm(motion[3:])), p))
+                _, motion, _ = apart[0]
+                moved.append(Elsewhere(k, name, float(np.linalg.norm(motion[:3])), float(np.linalg.norm(motion[3:]))))
             elif same is not None:
                 here[name] = same
         out.append(here)
@@ -116,11 +115,11 @@ def _standing(owners: Owners, measured: Sequence[Measurement]) -> tuple[Owners, 
 
 def _places(measured: Measurement) -> dict[str, tuple]:
     """{camera: (pose, (6, 6) covariance, tangent on the right)} of the cameras that stand still."""
-    a = measured.adjustment
-    return {a.state.cameras[i].name: (a.state.cameras[i].pose, a.shared_covariance[part, part]) for i, part in a.unknowns.poses.items()}
+    a, covariance = measured.adjustment, measured.adjustment.shared_covariance
+    return {a.state.cameras[i].name: (a.state.cameras[i].pose, covariance[part, part]) for i, part in a.unknowns.poses.items()}
 
 
 def _apart(one: tuple, other: tuple) -> tuple[np.ndarray, float]:
     """((6,) motion from one place to the other, probability of as much by chance)."""
     motion = log(one[0].inv() * other[0])
-    return motion, float(chi2.sf(motion @ np.linalg.solve(one[1] + other[1], motion), 6))
+    return motion, float(scipy.stats.chi2.sf(motion @ np.linalg.solve(one[1] + other[1], motion), 6))

@@ -6,14 +6,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from rig import layout
 from rig.layout_parts import camera, cube_lines
 
-WIDE, EDGE = 0.62, 0.075  # rad to either side; m
+WIDE, SIZE, EDGE = 0.62, (640, 512), 0.075  # rad to either side; px; m
 
 
-def text(size=(640, 512), source=None):
-    """Its rig.toml. size : px of the image; source : of the camera in a live run, or None"""
+def text():
+    """Its rig.toml."""
     whole = layout.layout(0.3)
     looks = RigidTransform.from_components([0.0, 0.0, -0.04], Rotation.from_rotvec([np.pi, 0, 0]))
-    lines = camera("cam0", looks, WIDE, size, "hand") + ([f'source = "{source}"'] if source else [])
+    lines = camera("cam0", looks, WIDE, SIZE, "hand")
     for i in range(6):
         place = (0.13 * np.cos(i * np.pi / 3), 0.13 * np.sin(i * np.pi / 3), EDGE / 2 + 0.015 * (i % 3))
         lines += cube_lines(f"B{i + 1}", "base", "DICT_5X5_100", 5 * i, EDGE, place, (0, 0, 0.4 * i))

@@ -31,10 +31,10 @@ def otherwise(collected: Collected, cameras: Sequence[Camera]) -> float:
     middle = quads.mean(axis=1)
     centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
     for camera in cameras:
-        before, own = collected.cameras.get(camera.name), centres[names == camera.name]
-        if before is not None and len(own):
+        own = centres[names == camera.name]
+        if len(own):
             bent = np.empty((2, len(own), 2, local_lens.TERMS))
-            for k, one in enumerate((before, camera)):
+            for k, one in enumerate((collected.cameras[camera.name], camera)):
                 local_lens.polynomials(local_lens.table(one), own, bent[k])
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
             most = max(most, float(np.nanmax(apart)))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import cv2
@@ -55,7 +55,7 @@ class Collected:
     blur: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
     spread: dict[str, Spread]
-    cameras: dict[str, Camera] = field(default_factory=dict)
+    cameras: dict[str, Camera]
 
     @property
     def repeated(self) -> list[int]:
@@ -127,11 +127,12 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     adjusted = [k for k in taught if work[k][1].name in cameras]  # whose markers the lens as stated bent otherwise than those of other images
     found.update(zip(adjusted, in_parallel(bent, adjusted, None)))
     whole.clear()
+    lenses = {camera.name: cameras.get(camera.name, camera) for _, camera, _ in work}
 
     def one(k: int, T: RigidTransform | None = None) -> Detection:
         _, camera, name = work[k]
-        adjusted = cameras.get(camera.name)
-        return detect(_image(recording, camera, name), adjusted or camera, marker_map, spread[camera.name], T if adjusted else None, doubtful=True)
+        return detect(_image(recording, camera, name), lenses[camera.name], marker_map, spread[camera.name],
+                      T if camera.name in cameras else None, doubtful=True)
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}
@@ -139,7 +140,6 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
-    lenses = {camera.name: cameras.get(camera.name, camera) for _, camera, _ in work}
     return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses)
 
 

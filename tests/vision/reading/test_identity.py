@@ -102,7 +102,7 @@ def test_a_face_askew_is_reported_without_a_name(design):
 def test_what_was_seen_twice_in_an_image_is_reported(design):
     a = seen_often(design)[0]
     left_out = [Unplaced(0, "cam1", a, "seen 2 times in one image", True), Unplaced(1, "cam1", 999, "too small", False)]
-    collected = Collected(None, None, left_out, {}, {}, {})
+    collected = Collected(None, None, left_out, {}, {}, {}, {})
     assert spoilt(design, repeated=collected.repeated)[0] == (Suspect(a, "twice", -1, 0, 1, 1),)
 
 
