@@ -20,6 +20,7 @@ from vision.predict import State, predict
 from vision.targets import MarkerMap
 
 FAR = 30.0  # px; a corner that lies farther from where it ought to be says no more by it
+NEGLIGIBLE = 1e-2  # standard deviations; what a draw that all poses share moves all of them together by, below which each pose bears it alone
 UNSURE = 3.0  # px; where places are free, what stated ones may be off by before a frame that they hold is doubted
 
 
@@ -118,14 +119,34 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
     kept, good = only(observations, solved), fit.inliers[keep]
     weights, standing = standing_error(kept, good, fit.adjustment.state)
     result = adjust(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
-    numbers, common = observations.frames[solved], result.platform_common
+    numbers, covariance = observations.frames[solved], _given(result)
+    result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]
     noise = np.sqrt(np.median(np.einsum("nii->n", kept.covariance)) / 2)
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
-                       result.platform_given_cameras + common @ np.swapaxes(common, 1, 2), common,
+                       covariance, common,
                        {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, fit.inliers,
                        residuals, float(noise), standing, weights, fit.scale**2, result)
+
+
+def _given(adjustment: Adjustment) -> np.ndarray:
+    """(f, 6, 6) covariance of the platform's poses, cameras' uncertainty included."""
+    common = adjustment.platform_common
+    return adjustment.platform_given_cameras + common @ np.swapaxes(common, 1, 2)
+
+
+def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:
+    """(Adjustment whose shared draws are turned so that what moves the poses most comes first, (f, 6, k) of them that do not move them negligibly).
+
+    Turning draws z ~ N(0, I) changes no covariance; of many hundred unknowns that cameras, lenses and prints have, poses feel a few score
+    """
+    common = adjustment.platform_common
+    own = np.linalg.solve(np.linalg.cholesky(adjustment.platform_given_cameras), common).reshape(-1, common.shape[2])
+    squares, turn = np.linalg.eigh(own.T @ own)
+    turn = turn[:, ::-1]
+    turned = replace(adjustment, platform_common=common @ turn, shared_factor=adjustment.shared_factor @ turn)
+    return turned, turned.platform_common[..., : int((squares > NEGLIGIBLE**2).sum())]
 
 
 def _located(views: Views, cameras: tuple[Camera, ...], t: np.ndarray | None, free: bool,

@@ -61,7 +61,8 @@ def by_part(measured: Sequence[tuple[Samples, Measurement | None]]) -> tuple[tup
             return None, None
         adjustment = measurement.adjustment
         lens = adjustment.shared_factor[np.array([part not in PLACE for _, part in adjustment.shared_names], bool) & ~adjustment.of_prints]
-        left = samples.common @ (np.eye(samples.common.shape[2]) - np.linalg.pinv(lens) @ lens)
+        known = (np.linalg.pinv(lens) @ lens)[: samples.common.shape[2]]  # draws that hardly move poses come last, and samples are without them
+        left = samples.common @ (np.eye(*known.shape) - known)
         whole, cameras_own = rms(samples.common @ np.swapaxes(samples.common, 1, 2)), rms(left @ np.swapaxes(left, 1, 2))
         shares[0].append(cameras_own)
         shares[1].append((_less(whole[0], cameras_own[0]), _less(whole[1], cameras_own[1])))

@@ -73,7 +73,7 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     like, covariance = correction.remainder, samples.total_covariance()
 
     def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
-        known = geometry(some, nominal, alone.prior)
+        known = geometry(some, nominal, alone)
         return [calibrate(some, nominal, how, alone=known)[0] for how in (("none", like) if any(like) else ("none",))]
 
     before, after, *more = in_turn(samples, label, corrections, said)
@@ -119,5 +119,5 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     kept = samples.take(good)
     each = witnesses(kept, label, to_pose(kept.T_base_platform, nominal))
     offset = done.correction.rho(each.effective)
-    found = identify(each, nominal, offset, done.found.prior)
+    found = identify(each, nominal, offset, done.found.prior, done.found)
     return promise(found, tolerance(found, nominal), done.correction, each, rng)

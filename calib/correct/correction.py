@@ -186,31 +186,33 @@ def reachable(commands: np.ndarray, mechanism: Struts | Arm | Chain, labels: Seq
     raise Unreachable(f"{len(bad)} of {len(commands)} wanted poses cannot be reached:", bad, lines)
 
 
-def geometry(samples: Samples, nominal: Struts, prior: np.ndarray | None = None) -> Identified:
-    """Identified geometry of samples alone, no remainder taken off. prior : (p,) m, how good the owner's figures are, or None: as these samples
-    have it. Raises NotEnoughData as `identify`"""
-    return identify(samples, nominal, prior=tolerance(identify(samples, nominal), nominal).prior if prior is None else prior)
+def geometry(samples: Samples, nominal: Struts, near: Identified | None = None) -> Identified:
+    """Identified geometry of samples alone, no remainder taken off. near : Identified of most of the same samples, whose prior is taken over, or
+    None: how good the owner's figures are is told by these samples. Raises NotEnoughData as `identify`"""
+    if near is None:
+        first = identify(samples, nominal)
+        return identify(samples, nominal, prior=tolerance(first, nominal).prior, near=first)
+    return identify(samples, nominal, prior=near.prior, near=near)
 
 
-def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find", prior: np.ndarray | None = None,
+def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find",
               alone: Identified | None = None) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
-    samples : Samples; nominal : the owner's; prior : (p,) m, how good its figures are, or None: as these samples have it
+    samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
     None takes over size and smoothness from there; alone : `geometry` of the same, where it is known already
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = struts_of(nominal)
-    found = geometry(samples, nominal, prior) if alone is None else alone
-    prior = found.prior
+    found = geometry(samples, nominal) if alone is None else alone
     parts: tuple[Radial | None, ...] = (None,) * len(nominal.axes)
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
         return Correction(nominal, found.mechanism, parts), found
     for _ in range(ROUNDS):
         parts = _remainder(samples, found, nominal, parts, like)
-        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), prior)
+        found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), found.prior, found)
         if remainder == "find":
             if not any(parts):
                 break

@@ -101,8 +101,8 @@ def _by_cameras(measured: Measurement, samples: Samples, T: RigidTransform, refe
     """What corners say, linearised where they fit best. T : (n,) expected; lenses are each visit's own, as good as stated."""
     a, kept = measured.adjustment, measured.used()
     u, estimate = unknowns(kept, a.state, a.stated, FREE)
-    residual, derivatives = linearise(kept, estimate, u, whitener(kept))
-    blocks = normal_equations(kept, derivatives, residual, u, np.zeros(u.shared))
+    _, derivatives = linearise(kept, estimate, u, whitener(kept))
+    blocks = normal_equations(kept, derivatives, u, np.zeros(u.shared))
     frames, at = 6 * len(samples), {f"target {name}": s for name, s in u.targets.items()}
     at |= {f"camera {a.state.cameras[i].name}": s for i, s in u.poses.items()}
     away = np.concatenate([log(T.inv() * a.state.platform).ravel() / POSE_SCALE, np.zeros(u.shared)])

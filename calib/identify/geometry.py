@@ -71,19 +71,22 @@ def with_parameters(mechanism: S, p: np.ndarray) -> S:
     return replace(mechanism, base_joints=p[:4].reshape(2, 2), strut_zeros=p[4:])
 
 
-def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None, prior: np.ndarray | None = None) -> Identified:
+def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None, prior: np.ndarray | None = None,
+             near: Identified | None = None) -> Identified:
     """Joint positions and strut zeros that explain the measured poses, as near to the owner's as these allow, docs/mathematics.md (7).
 
     samples : Samples; nominal : where the fit starts and where its prior holds what the poses do not tell
+    near : Identified of nearly the same, to start from instead: the same optimum in fewer steps
     offset : (n, axes) m or None, known deviations of the struts (commanded less effective), taken off the commands first
     prior : (p,) m, standard deviation that the owner's figures are given, 5 mm each by default
     Returns Identified. Raises NotEnoughData where too few poses agree, RigError where the fit does not settle.
     """
     lengths = samples.effective - (0 if offset is None else offset)
-    p = parameters(nominal)
+    p = parameters(nominal if near is None else near.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
-    inliers, scatter, spent = np.ones(len(samples), bool), np.zeros(len(nominal.axes)), len(p) // len(nominal.axes)
+    inliers, spent = np.ones(len(samples), bool), len(p) // len(nominal.axes)
+    scatter = np.zeros(len(nominal.axes)) if near is None else near.scatter
     for _ in range(ROUNDS):
         found = loops.fit(p, inliers, scatter)
         p = found.parameters

@@ -103,7 +103,7 @@ def adjust(observations: Observations, state: State, free: Sequence[str] = ("pos
             residual, derivatives = linearise(few, estimate, u, W)
             away = offset(estimate, stated, u)
             cost = float((residual**2).sum() + (u.prior * away**2).sum()) + spare
-            blocks = normal_equations(few, derivatives, residual, u, away)
+            blocks = normal_equations(few, derivatives, u, away)
             if progress:
                 progress(cost)
         steps = step(blocks, u, damping)
@@ -140,7 +140,7 @@ def _finish(observations: Observations, few: Observations, W: Whitener, estimate
     """The Adjustment of Observations that were adjusted as few, with their Whitener."""
     residual, derivatives = linearise(few, estimate, u, W)
     away = offset(estimate, stated, u)
-    blocks = normal_equations(few, derivatives, residual, u, away)
+    blocks = normal_equations(few, derivatives, u, away)
     uv, _ = predict(observations, estimate.state)
     residual = whitener(observations)(observations.uv - uv)
     gain, reduced, _ = reduce(blocks)

@@ -66,7 +66,7 @@ def crossvalidate(observations: Observations, adjustment: Adjustment, folds: int
         part, own_u = only(observations, frames), replace(u, used=u.used[frames])
         residual, derivatives = linearise(part, replace(estimate, state=estimate.state.at(frames)), own_u,
                                           whitener(part))
-        blocks = normal_equations(part, derivatives, residual, own_u, np.zeros(u.shared))
+        blocks = normal_equations(part, derivatives, own_u, np.zeros(u.shared))
         gain, reduced, right = reduce(blocks)
         own = float(np.einsum("fl,fl->", blocks.own, np.linalg.solve(blocks.local, blocks.own[..., None])[..., 0]))
         parts.append((reduced - np.diag(u.prior), right, float((residual**2).sum()) - own, 2 * len(part) - int(own_u.used.sum()), len(part)))

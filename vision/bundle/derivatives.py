@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rig.pose import skew
 from vision import lens
+from vision.bundle import compiled
 from vision.observations import Observations
 from vision.predict import State, base_points, by_camera, in_camera
 
@@ -23,13 +23,23 @@ def seen(observations: Observations, state: State) -> Iterator[Seen]:
         frame = observations.frame[rows]
         ahead = in_camera(base[rows], frame, state, i)
         uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
-        R_camera = state.moving[i].rotation.as_matrix()[frame] if i in state.moving else camera.pose.rotation.as_matrix()
-        yield i, rows, uv, J_point @ np.swapaxes(R_camera, -1, -2), np.concatenate([-J_point, J_point @ skew(ahead)], axis=-1), J_lens
+        R_camera = (state.moving[i] if i in state.moving else camera.pose).rotation.as_matrix().reshape(-1, 3, 3)
+        J_base = turned(J_point, np.ascontiguousarray(np.swapaxes(R_camera, 1, 2)), frame if i in state.moving else np.zeros(len(frame), int))
+        yield i, rows, uv, J_base, -moved(J_point, ahead), J_lens
 
 
 def moved(J: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(n, 2, 6) derivative to a small motion on the right, from that to the point (n, 2, 3) and the point (n, 3) it moves."""
-    return np.concatenate([J, -(J @ skew(points))], axis=-1)
+    out = np.empty((len(J), 2, 6))
+    compiled.motions(np.ascontiguousarray(J), np.ascontiguousarray(points), out)
+    return out
+
+
+def turned(J: np.ndarray, R: np.ndarray, at: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
+    """(n, 2, 3) J (n, 2, 3) times the matrix of R (m, 3, 3) that each is `at` (n,), or J itself where it is none of `some` (n,), all by default."""
+    out = np.empty(J.shape)
+    compiled.turn(np.ascontiguousarray(J), R, at, np.ones(len(J), bool) if some is None else some, out)
+    return out
 
 
 def derivatives(observations: Observations, state: State) -> list[Derivative]:
@@ -40,6 +50,6 @@ def derivatives(observations: Observations, state: State) -> list[Derivative]:
     R_platform, out = state.platform.rotation.as_matrix(), []
     for i, rows, _, J_base, J_camera, J_lens in seen(observations, state):
         on = observations.on_platform[rows][:, None, None]
-        J_platform = np.where(on, moved(J_base @ R_platform[observations.frame[rows]], observations.points[rows]), 0.0)
+        J_platform = np.where(on, moved(turned(J_base, R_platform, observations.frame[rows]), observations.points[rows]), 0.0)
         out.append((i, rows, J_platform, J_camera, J_lens))
     return out

@@ -1,12 +1,11 @@
 """Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between them."""
 
 from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from rig.parallel import threaded
-from vision.bundle.derivatives import Seen, moved, seen
+from vision.bundle import compiled
+from vision.bundle.derivatives import Seen, moved, seen, turned
 from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.motions import shifts
 from vision.bundle.printing import SIDE, derivative
@@ -19,17 +18,24 @@ from vision.targets import SQUARE
 class Derivatives:
     """What one camera's corners say, whitened, per scaled unknown. rows : slice of the observations.
 
-    own : (n, 2, k) to unknowns of the corner's frame, own_columns : (k,) theirs in the frame's block
-    shared : (n, 2, w) to shared unknowns, shared_columns : (m, w) theirs, for a corner of each marker; the first `steady`
-    are the same for all markers
+    whole : (n, 2, k + w + 1) to k unknowns of the corner's frame, to w shared unknowns, and the residual
+    own_columns : (k,) theirs in the frame's block; shared_columns : (m, w) theirs, for a corner of each marker
     """
 
     rows: slice
-    own: np.ndarray
+    whole: np.ndarray
     own_columns: np.ndarray
-    shared: np.ndarray
     shared_columns: np.ndarray
-    steady: int
+
+    @property
+    def own(self) -> np.ndarray:
+        """(n, 2, k) to unknowns of the corner's frame."""
+        return self.whole[..., : len(self.own_columns)]
+
+    @property
+    def shared(self) -> np.ndarray:
+        """(n, 2, w) to shared unknowns."""
+        return self.whole[..., len(self.own_columns) : -1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,51 +63,45 @@ def linearise(observations: Observations, estimate: Estimate, unknowns: Unknowns
     if unknowns.targets:
         arms, turns = _about_targets(estimate, unknowns)
 
-    def one(view: Seen) -> tuple[Derivatives, np.ndarray]:
+    def one(view: Seen) -> Derivatives:
         i, rows, uv, J_base, J_camera, J_lens = view
-        frame, on = observations.frame[rows], observations.on_platform[rows][:, None, None]
-        marker, corner, own = observations.marker[rows], observations.corner[rows], whitener.own[rows]
-        whitened = own @ (observations.uv[rows] - uv)[..., None]
-        J_base = own @ J_base
-        J_body = np.where(on, J_base @ R_platform[frame], J_base)
-        local, own_columns = [np.where(on, moved(J_body, body[rows]), 0.0)], [np.arange(6)]
-        shared, columns = [np.zeros((len(frame), 2, 0))], [np.zeros((markers, 0), int)]
+        on, marker, corner = observations.on_platform[rows], observations.marker[rows], observations.corner[rows]
+        J_body = turned(J_base, R_platform, observations.frame[rows], on)
+        local, own_columns = [np.where(on[:, None, None], moved(J_body, body[rows]), 0.0)], [np.arange(6)]
+        shared, columns = [np.zeros((len(on), 2, 0))], [np.zeros((markers, 0), int)]
         if i in unknowns.local_poses:
-            local.append(own @ J_camera)
+            local.append(J_camera)
             own_columns.append(_range(unknowns.local_poses[i]))
         for of, J in ((unknowns.poses, J_camera), (unknowns.lenses, J_lens)):
             if i in of:
-                shared.append(own @ J)
+                shared.append(J)
                 columns.append(np.tile(_range(of[i]), (markers, 1)))
         if unknowns.markers or unknowns.prints.rows:
-            J_marker, at = J_body @ R_marker[marker], in_marker[marker, corner]
-        if unknowns.prints.rows:
-            printed = derivative(J_marker, moved(J_marker, at), at)
-            if unknowns.prints.together.stop > unknowns.prints.together.start:
-                shared.append(printed[..., SIDE:])
-                columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
-        steady = sum(part.shape[1] for part in columns)
+            J_marker, at = turned(J_body, R_marker, marker), in_marker[marker, corner]
         if unknowns.markers:
             shared.append(moved(J_marker, at))
             columns.append(np.array([_range(unknowns.markers.get(row, slice(0, 6))) for row in range(markers)]))
         if unknowns.prints.rows:
-            parts = unknowns.prints.parts
+            printed, parts = derivative(J_marker, moved(J_marker, at), at), unknowns.prints.parts
+            if unknowns.prints.together.stop > unknowns.prints.together.start:
+                shared.append(printed[..., SIDE:])
+                columns.append(np.tile(_range(unknowns.prints.together), (markers, 1)))
             shared.append(printed[..., parts])
             columns.append(np.array([_range(unknowns.prints.rows.get(row, slice(0, len(parts)))) for row in range(markers)]))
         if unknowns.targets:
-            shared.append(moved(J_body @ turns[marker], arms[marker, corner]))
+            shared.append(moved(turned(J_body, turns, marker), arms[marker, corner]))
             names = state.placed.target[:markers]
             columns.append(np.array([_range(unknowns.targets.get(name, slice(0, 6))) for name in names]))
-        every = np.concatenate(columns, axis=1)
-        mine, common = np.concatenate(local, axis=-1) * POSE_SCALE, np.concatenate(shared, axis=-1) * unknowns.scale[every[marker]][:, None]
-        count = mine.shape[2]
-        mixed = whitener.mix(np.concatenate([mine, common, whitened], axis=-1), rows)
-        return Derivatives(rows, mixed[..., :count], np.concatenate(own_columns), mixed[..., count:-1], every, steady), mixed[..., -1]
+        every, mine = np.concatenate(columns, axis=1), np.concatenate(own_columns)
+        whole = np.concatenate([*local, *shared, (observations.uv[rows] - uv)[..., None]], axis=-1)
+        scale = np.concatenate([np.full((markers, len(mine)), POSE_SCALE), unknowns.scale[every], np.ones((markers, 1))], axis=1)
+        compiled.whiten(whitener.own[rows], scale, marker, whole)
+        return Derivatives(rows, whitener.mix(whole, rows), mine, every)
 
     residual, found = np.empty((len(observations), 2)), {}
     views = list(seen(observations, state))
-    for view, (derivatives, left) in zip(views, threaded(one, views)):
-        residual[derivatives.rows], found[view[0]] = left, derivatives
+    for view, derivatives in zip(views, threaded(one, views)):
+        residual[derivatives.rows], found[view[0]] = derivatives.whole[..., -1], derivatives
     return residual, found
 
 
@@ -119,59 +119,15 @@ def _about_targets(estimate: Estimate, unknowns: Unknowns) -> tuple[np.ndarray, 
     return before - middle[:, None], turns
 
 
-def normal_equations(observations: Observations, derivatives: dict[int, Derivatives], residual: np.ndarray, unknowns: Unknowns,
-                     offset: np.ndarray) -> Blocks:
-    """Blocks of the whitened residuals (n, 2) and of what the stated values are worth. offset : (s,) scaled, from the stated."""
+def normal_equations(observations: Observations, derivatives: dict[int, Derivatives], unknowns: Unknowns, offset: np.ndarray) -> Blocks:
+    """Blocks of the whitened residuals and of what the stated values are worth. offset : (s,) scaled, from the stated."""
     frames, l, s = len(observations.frames), unknowns.local, unknowns.shared
     blocks = Blocks(np.zeros((frames, l, l)), np.zeros((frames, l, s)), np.diag(unknowns.prior), np.zeros((frames, l)), -unknowns.prior * offset)
-    for sums in threaded(lambda found: _sums(observations, found, residual[found.rows]), list(derivatives.values())):
-        sums.add_to(blocks)
+    sums = blocks.local, blocks.cross, blocks.shared, blocks.own, blocks.common
+    for found in derivatives.values():
+        compiled.add(found.whole, observations.frame[found.rows], observations.marker[found.rows], found.own_columns, found.shared_columns, sums)
     blocks.local[:, np.arange(l), np.arange(l)] += ~unknowns.used  # unknowns that nothing sees stay put
     return blocks
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sums:
-    """One camera's part of Blocks. parts : (name of an array of Blocks, where in it, what is added); repeated : likewise, where places may recur."""
-
-    parts: tuple[tuple[str, Any, np.ndarray], ...]
-    repeated: tuple[tuple[str, Any, np.ndarray], ...]
-
-    def add_to(self, blocks: Blocks) -> None:
-        """Add them."""
-        for name, place, values in self.parts:
-            getattr(blocks, name)[place] += values
-        for name, place, values in self.repeated:
-            np.add.at(getattr(blocks, name), place, values)
-
-
-def _sums(observations: Observations, found: Derivatives, residual: np.ndarray) -> _Sums:
-    """Sums of one camera's corners, marker by marker: A^T A of a marker's four corners, summed where it belongs."""
-    frame, marker = observations.frame[found.rows], observations.marker[found.rows]
-    new = np.r_[True, (np.diff(frame) != 0) | (np.diff(marker) != 0)]
-    sighting, first = np.cumsum(new) - 1, np.flatnonzero(new)
-    k, w = found.own.shape[2], found.shared.shape[2]
-    A, r = np.zeros((len(first), 4, 2, k + w)), np.zeros((len(first), 4, 2))  # a corner that is missing counts nothing
-    corner = observations.corner[found.rows]
-    A[sighting, corner, :, :k], A[sighting, corner, :, k:], r[sighting, corner] = found.own, found.shared, residual
-    A = A.reshape(len(first), 8, -1)
-    N, g = np.swapaxes(A, 1, 2) @ A, (np.swapaxes(A, 1, 2) @ r.reshape(len(first), 8, 1))[..., 0]
-    frame, marker, own, steady = frame[first], marker[first], found.own_columns, k + found.steady
-    edges = np.flatnonzero(np.r_[True, np.diff(frame) != 0])
-    f = frame[edges]
-    parts = [("local", np.ix_(f, own, own), np.add.reduceat(N[:, :k, :k], edges)), ("own", np.ix_(f, own), np.add.reduceat(g[:, :k], edges))]
-    repeated: list[tuple[str, Any, np.ndarray]] = []
-    if found.steady:
-        parts.append(("cross", np.ix_(f, own, found.shared_columns[0, : found.steady]), np.add.reduceat(N[:, :k, k:steady], edges)))
-    if steady < k + w:
-        columns = found.shared_columns[marker, None, found.steady :]
-        repeated.append(("cross", (frame[:, None, None], own[None, :, None], columns), N[:, :k, steady:]))
-    order = np.argsort(marker, kind="stable")
-    edges = np.flatnonzero(np.r_[True, np.diff(marker[order]) != 0])
-    columns = found.shared_columns[marker[order][edges]]
-    repeated.append(("shared", (columns[:, :, None], columns[:, None, :]), np.add.reduceat(N[order, k:, k:], edges)))
-    repeated.append(("common", columns, np.add.reduceat(g[order, k:], edges)))
-    return _Sums(tuple(parts), tuple(repeated))
 
 
 def step(blocks: Blocks, unknowns: Unknowns, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -96,7 +96,7 @@ def doubtful(measurement: Measured, markers: MarkerMap) -> bool:
     W = whitener(kept)
     residual, derivatives = linearise(kept, estimate, u, W)
     away = offset(estimate, replace(a.stated, markers=markers), u)
-    blocks = normal_equations(kept, derivatives, residual, u, away)
+    blocks = normal_equations(kept, derivatives, u, away)
     left = (residual**2).sum() - promised(blocks, *step(blocks, u))
     dof = 2 * len(kept) - u.used.sum() - u.basis.shape[1]
     return bool(dof > 0 and left / dof < HALVED**2 * a.cost / a.dof)

@@ -83,7 +83,7 @@ def _told(observations: Observations, a: Adjustment, free: tuple[str, ...]) -> _
     u, estimate = unknowns(one, a.state, a.stated, free, printing=TRIAL)
     residual, derivatives = linearise(one, estimate, u, whitener(one))
     away = offset(estimate, a.stated, u)
-    blocks = normal_equations(one, derivatives, residual, u, away)
+    blocks = normal_equations(one, derivatives, u, away)
     _, reduced, _ = reduce(blocks)
     covariance = u.basis @ np.linalg.inv(u.basis.T @ reduced @ u.basis) @ u.basis.T
     columns = np.concatenate([np.arange(c.start, c.stop) for c in (*u.prints.rows.values(), u.prints.together)])

@@ -32,7 +32,7 @@ def test_cost_and_normal_equations_are_the_same(setting):
     both = []
     for o, rest in ((observations, 0.0), (few, spare)):
         residual, derivatives = linearise(o, estimate, u, whitener(o))
-        both.append((normal_equations(o, derivatives, residual, u, offset(estimate, state, u)), float((residual**2).sum()) + rest))
+        both.append((normal_equations(o, derivatives, u, offset(estimate, state, u)), float((residual**2).sum()) + rest))
     (whole, cost), (short, same) = both
     assert same == pytest.approx(cost, rel=1e-12)
     for name in ("local", "cross", "shared", "own", "common"):
