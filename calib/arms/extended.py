@@ -20,6 +20,7 @@ from calib.certify.claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, e
 from calib.certify.configurations import labels, ranges, witnesses
 from calib.certify.extended import Asked, Stand, Tried, extended_on, NONE
 from calib.correct.interpolate.field import Field, Known
+from calib.correct.values import Summands
 from calib.samples import Samples
 from rig.configurations import FILL, low_discrepancy
 from rig.design import Arm, Instrument
@@ -35,6 +36,18 @@ Geometry = Callable[[Samples], tuple[ArmCorrection, Identified]]  # what an exte
 
 
 def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
+    """`summands` of samples over the joint space, rad or m. shared : (j,) draw of the poses' common errors, taken out. Raises RigError as they do"""
+    found = summands(samples, arm, shared)
+    return Known(samples.commanded, found.values, np.einsum("mii->mi", found.covariance), mechanism.travel(arm))
+
+
+def owners_summands(samples: Samples, placed: Arm) -> Summands:
+    """Summands by the owner's model, placed where the instrument sees it stand. Raises RigError as `summands`"""
+    whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
+    return summands(whole, placed, np.zeros(0))
+
+
+def summands(samples: Samples, arm: Arm, shared: np.ndarray) -> Summands:
     """KSF_PM of samples: their joint values less those nearest to them at which a model takes the measured pose, rad or m.
 
     arm : the model; shared : (j,) draw of the poses' common errors, taken out
@@ -64,7 +77,7 @@ def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
         raise RigError(f"frame {samples.frame[worst_of]}: the model takes the measured pose nowhere near its joint values; is it that machine's?")
     variances = np.full((len(q), Vt.shape[1]), limit**2)
     variances[:, : s.shape[1]] = np.where(told, 1 / np.maximum(s, 1 / limit) ** 2, limit**2)
-    return Known(o.q, o.q - q, np.einsum("mij,mj->mi", V**2, variances), mechanism.travel(arm))
+    return Summands(o.q - q, (V * variances[:, None]) @ np.swapaxes(V, 1, 2))
 
 
 def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | None, asked: Asked, rng: np.random.Generator,

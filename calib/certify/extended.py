@@ -15,6 +15,7 @@ from calib.correct.extend import corrected, extend, geometry_of, left
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.interpolate.grid import lattice
+from calib.correct.interpolate.radial import RadialMap
 from calib.correct.interpolate.weighted import Weighted
 from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
 from calib.samples import Samples, precision
@@ -103,8 +104,11 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
     tried = [Tried(name, held.get(name), None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
-    if isinstance(field, Weighted) and outcome is not None and outcome.beside:
-        field = _scaled(field, said_of(field, outcome.samples), held[kind])
+    if outcome is not None and outcome.beside:
+        if isinstance(field, Weighted):
+            field = _scaled(field, said_of(field, outcome.samples), held[kind])
+        elif isinstance(field, RadialMap):
+            field = replace(field, inflation=max(1.0, float(np.sqrt(_beyond(held[kind]) / outcome.said[kind]))))
     return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
 
 
@@ -118,9 +122,11 @@ def _without(samples: Samples, nominal: Struts, found: Identified, field: Field,
 
 
 class _Outcome(NamedTuple):
-    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was fitted was as dense."""
+    """Of the rows (m,) held out, as Samples: before (m, 6), and after, by each way, (m, 6); beside : whether what was fitted was as dense;
+    said : m^2, mean square by which the fields that each way made without these rows say that their positions may be off."""
 
     beside: bool
+    said: dict[str, float]
     rows: np.ndarray
     samples: Samples
     before: np.ndarray
@@ -148,26 +154,33 @@ def _splits(samples: Samples, label: np.ndarray, nominal: Struts | Arm) -> list[
 def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dict[str, Field | None],
               splits: list[tuple[np.ndarray, np.ndarray]], said: Progress) -> _Outcome:
     rows, before, after = [], [], {name: list[np.ndarray]() for name in fields}
+    squares = dict.fromkeys(fields, 0.0)
     said("holding configurations out", 0, len(splits))
     for k, (fitted, out) in enumerate(splits):
         rest = samples.take(out)
-        known, correct, _ = stand(samples.take(fitted))
+        known, correct, said_of = stand(samples.take(fitted))
         rows.append(np.flatnonzero(out))
         owners = correct(None).nominal  # of an arm, as the rest of the samples place it
         before.append(error_of(mechanisms.of(owners).forward(rest.commanded, owners), rest))
         for name, field in fields.items():
-            correction = correct(None if field is None else extend(known, name, field))
-            after[name].append(error_of(correction.predict(rest.commanded), rest))
+            own = None if field is None else extend(known, name, field)
+            after[name].append(error_of(correct(own).predict(rest.commanded), rest))
+            squares[name] += 0.0 if own is None else len(rest) * said_of(own, rest)
         said("holding configurations out", k + 1, len(splits))
     at = np.concatenate(rows)
     dense = all(fitted.sum() >= len(samples) * (1 - 1 / FOLDS) - 1 for fitted, _ in splits) or len(splits) == 1
-    return _Outcome(dense, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
+    means = {name: total / len(at) for name, total in squares.items()}
+    return _Outcome(dense, means, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
 
 
 def _scaled(field: Weighted, said: float, held: HeldOut) -> Weighted:
     """The field with its misfit as the poses held out have it: their errors beyond what measuring them adds, over what the field says of itself."""
-    seen = max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
-    return replace(field, misfit=field.misfit * np.sqrt(seen / said))  # type: ignore[type-var]
+    return replace(field, misfit=field.misfit * np.sqrt(_beyond(held) / said))  # type: ignore[type-var]
+
+
+def _beyond(held: HeldOut) -> float:
+    """m^2, mean square of the positions' error at poses held out beyond what measuring them adds."""
+    return max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
 
 
 def said_by_struts(field: Field, samples: Samples, nominal: Struts) -> float:

@@ -25,15 +25,25 @@ def summand_columns(axes: int) -> tuple[str, ...]:
     return ("frame", *(f"{name}{i + 1}" for name in "xyk" for i in range(axes)), *triangle)
 
 
-def summand_rows(samples: Samples, nominal: Struts) -> Iterator[str]:
-    """The lines of a ksf.csv, one for each sample; covariances of the measured pose, what all poses share included."""
-    kinematics = mechanisms.of(nominal)
-    seen = kinematics.inverse(samples.T_base_platform, nominal)
+class Summands(NamedTuple):
+    """KSF_PM of n samples: values (n, axes) m or rad; covariance : (n, axes, axes) of the measured poses, what all poses share included."""
+
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+def of_struts(samples: Samples, nominal: Struts) -> Summands:
+    """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model."""
     A = strut_jacobian(samples.T_base_platform, nominal)
-    covariance = A @ samples.total_covariance() @ np.swapaxes(A, 1, 2)
-    upper = np.triu_indices(seen.shape[1])
-    for frame, x, y, C in zip(samples.frame, samples.commanded, seen, covariance):
-        yield ",".join([str(frame), *(f"{value:.12f}" for value in (*x, *y, *(x - y))), *(f"{value:.9e}" for value in C[upper])])
+    return Summands(samples.commanded - mechanisms.of(nominal).inverse(samples.T_base_platform, nominal),
+                    A @ samples.total_covariance() @ np.swapaxes(A, 1, 2))
+
+
+def summand_rows(samples: Samples, summands: Summands) -> Iterator[str]:
+    """The lines of a ksf.csv, one for each sample."""
+    upper = np.triu_indices(summands.values.shape[1])
+    for frame, x, k, C in zip(samples.frame, samples.commanded, *summands):
+        yield ",".join([str(frame), *(f"{value:.12f}" for value in (*x, *(x - k), *k)), *(f"{value:.9e}" for value in C[upper])])
 
 
 class JointTables(NamedTuple):

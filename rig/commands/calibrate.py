@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.correct.physics import Physics
     from calib.diagnose.taken import Findings, Taken
     from calib.pipeline import Sampled
+    from calib.samples import Samples
     from calib.store import Calibration
     from rig.effects.parse import Kinds
     from rig.page.document import Link
@@ -68,13 +69,11 @@ def run(arguments: Namespace) -> None:
 
 def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corners], None], progress: Progress) -> None:
     """Calibrate what was read. look : judges the corners once they are known"""
-    from rig.kinds import struts_of
-
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
     links = near(arguments, arguments.out.with_suffix(".html")) if page else []
     nominal = recording.design.mechanism
-    told = page is not None and nominal.kind not in ("arm", "chain")
+    told = page is not None and nominal.kind != "chain"
     values = arguments.outputs.file(arguments.out.with_name(_values_name(arguments.out))) if told else None
 
     import numpy as np
@@ -97,10 +96,7 @@ def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corne
         taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
         calibration = _struts(recording, sampled, (out, page, links), arguments.argv, rng, progress, arguments.joint, taken)
     if values is not None:
-        from calib.correct.values import summand_columns, summand_rows
-        from rig.writing import write_table
-
-        write_table(values, summand_columns(len(nominal.axes)), summand_rows(sampled.samples, struts_of(nominal)))
+        _write_summands(values, sampled.samples, calibration)
     tell(arguments, calibration, len(sampled.samples))
     print_unsolved(sampled.measurement)
     print(f"written: {arguments.out}" + (f"; look at {arguments.out.with_suffix('.html')}" if page else ""))
@@ -134,6 +130,28 @@ def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, ow
     if findings is None:
         findings = of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
     return take(recording, sampled, findings, progress)
+
+
+def _write_summands(path: Path, samples: Samples, calibration: Calibration) -> None:
+    """Write ksf.csv, or say why there is none: of an arm there is none where its poses do not tell its joints."""
+    from calib.correct.values import of_struts, summand_columns, summand_rows
+    from rig.writing import write_table
+
+    nominal = calibration.correction.nominal
+    if nominal.kind == "arm":
+        from calib.arms.certify import UNPLACED
+        from calib.arms.extended import owners_summands
+
+        try:
+            if samples.measured in UNPLACED:
+                raise RigError(UNPLACED[samples.measured])
+            found = owners_summands(samples, nominal)
+        except RigError as error:  # the calibration stands without them
+            print(f"no correction values: {error}")
+            return
+    else:
+        found = of_struts(samples, nominal)
+    write_table(path, summand_columns(len(nominal.axes)), summand_rows(samples, found))
 
 
 def _values_name(out: Path) -> str:

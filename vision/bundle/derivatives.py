@@ -23,7 +23,7 @@ def seen(observations: Observations, state: State) -> Iterator[Seen]:
         frame = observations.frame[rows]
         ahead = in_camera(base[rows], frame, state, i)
         uv, J_point, J_lens = lens.project_jacobian(ahead, camera.matrix, camera.distortion)
-        R_camera = (state.moving[i] if i in state.moving else camera.pose).rotation.as_matrix().reshape(-1, 3, 3)
+        R_camera = state.moving.get(i, camera.pose).rotation.as_matrix().reshape(-1, 3, 3)
         J_base = turned(J_point, np.ascontiguousarray(np.swapaxes(R_camera, 1, 2)), frame if i in state.moving else np.zeros(len(frame), int))
         yield i, rows, uv, J_base, -moved(J_point, ahead), J_lens
 

@@ -77,7 +77,8 @@ def from_entries(table: Entries, axes: int) -> Field:
         parts = _ragged(table, "parts")
         found = [None if one is None else radial_from(Entries(one, (*table.path, "parts", i), table.file, table.places), axes)
                  for i, one in enumerate(parts) if one is None or isinstance(one, dict)]
-        return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)))
+        inflation = table.number("inflation") if "inflation" in table.tree else 1.0
+        return RadialMap(tuple(found), table.array("low", (axes,)), table.array("high", (axes,)), inflation)
     sizes: dict[str, int] = {"a": axes}
     read = {name: _levels(table, axes) if shape == "ragged" else _array(table, name, shape, sizes) for name, shape in SHAPES[kind.kind].items()}
     try:

@@ -74,11 +74,15 @@ class Radial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RadialMap:
-    """A Radial for each output, None for one that noise alone explains; low, high : (axes,), the box of the samples."""
+    """A Radial for each output, None for one that noise alone explains; low, high : (axes,), the box of the samples.
+
+    inflation : times its own standard error that it was found to be off at samples held out, where that is more
+    """
 
     parts: tuple[Radial | None, ...]
     low: np.ndarray
     high: np.ndarray
+    inflation: float = 1.0
     kind: ClassVar[str] = "radial"
     exact: ClassVar[bool] = False
 
@@ -107,7 +111,7 @@ class RadialMap:
 
     def error(self, x: np.ndarray) -> np.ndarray:
         x = np.asarray(x, float)
-        return np.stack([np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1)
+        return self.inflation * np.stack([np.zeros(x.shape[:-1]) if part is None else part.error(x) for part in self.parts], axis=-1)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         return np.asarray(((x >= self.low) & (x <= self.high)).all(axis=-1))

@@ -14,7 +14,10 @@ from calib.arms.extended import certify_extended, left, owners, promised_alone, 
 from calib.certify.calibration import Calibration
 from calib.certify.extended import Asked
 from calib.samples import Samples
+from calib.correct.interpolate.kinds import as_dict, from_entries
+from rig import recording
 from rig.configurations import division, low_discrepancy
+from rig.entries import Entries
 from rig.errors import RigError
 from rig.pose import difference, exp
 from rig.writing import write_poses
@@ -133,3 +136,29 @@ def test_gears_are_corrected_through_the_command_line(tmp_path, capsys):
     assert "95 %" in stated and json.loads((tmp_path / "certificate.json").read_text())
     assert "an arm's is extended in one go" in rig("calibrate", tmp_path / "rec2", "--extend", "radial", "--onto", tmp_path / "radial.json", "--out",
                                                    tmp_path / "again.json", ok=False)
+
+
+def test_a_smooth_field_promises_what_it_does_where_nothing_was_measured():
+    """Its own standard error, of sizes and smoothness as they are likeliest, is less than half of that."""
+    true, box = worlds.secret(UR10, np.random.default_rng(3)), BOX + [-0.45, 0.45]
+    samples = samples_at(low_discrepancy(box, 100, 1.0, 1), true)
+    done, _ = certify_extended(samples, UR10, worlds.TRACKER, Asked("radial", True), np.random.default_rng(0))
+    claim, q = promised_alone(samples, done, np.random.default_rng(0)), low_discrepancy(box, 256, 0.8, 7)
+    error = difference(done.correction.predict(q), model.predicted(q - geared(q), true))[:, :3]
+    assert done.correction.extension.inflation > 1.5
+    assert 0.7 < np.sqrt((error**2).sum(axis=1).mean()) / claim.after[0][0] < 1.3
+    again = from_entries(Entries(json.loads(json.dumps(as_dict(done.correction.extension))), ("extension",), "c.json", {}), 6)
+    np.testing.assert_array_equal(again.error(q), done.correction.extension.error(q))
+
+
+def test_correction_values_of_an_arm_meet_what_was_measured(tmp_path, capsys):
+    rig, rng = command(capsys), np.random.default_rng(2)
+    true = worlds.secret(UR10, rng)
+    worlds.write(tmp_path / "rec", UR10, worlds.tracked(true, UR10, 60, rng))
+    rig("calibrate", tmp_path / "rec", "--out", tmp_path / "c.json")
+    rows = np.genfromtxt(tmp_path / "c.ksf.csv", delimiter=",", names=True)
+    x, y, k = (np.stack([rows[f"{name}{i}"] for i in range(1, 7)], axis=1) for name in "xyk")
+    np.testing.assert_allclose(k, x - y, atol=2e-12)
+    placed = store.load(tmp_path / "c.json").correction.nominal
+    missed = difference(model.predicted(y, placed), recording.load(tmp_path / "rec").poses.T_base_platform)
+    assert (np.abs(missed).max(axis=1) < 1e-9).mean() > 0.7 and 1e-4 < np.sqrt((k**2).mean()) < 1e-2

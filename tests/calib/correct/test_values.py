@@ -9,7 +9,7 @@ from calib.correct.correction import Correction
 from calib.correct.extend import summands
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.field import Known
-from calib.correct.values import grid_table, joint_tables, summand_columns, summand_rows
+from calib.correct.values import grid_table, joint_tables, of_struts, summand_columns, summand_rows
 from rig.configurations import low_discrepancy
 from rig.export import compensation
 from rig.mechanisms import hexapod
@@ -73,7 +73,7 @@ def test_a_grid_read_back_gives_the_commands(additive, design):
 def test_ksf_rows_are_commanded_less_what_was_measured_with_its_covariance(design):
     samples, true = sampled(design, 1, 200, own=np.array([5e-6] * 3 + [5e-5] * 3))
     columns = summand_columns(6)
-    rows = np.array([[float(cell) for cell in line.split(",")] for line in summand_rows(samples, design.mechanism)])
+    rows = np.array([[float(cell) for cell in line.split(",")] for line in summand_rows(samples, of_struts(samples, design.mechanism))])
     assert rows.shape == (200, len(columns)) and len(columns) == 1 + 18 + 21
     x, y, k = rows[:, 1:7], rows[:, 7:13], rows[:, 13:19]
     np.testing.assert_allclose(k, x - y, atol=2e-12)
