@@ -57,7 +57,7 @@ def placed(recording: Recording) -> tuple[Recording, list[Place]]:
     places = []
     for k, motion in enumerate(motions[1:]):
         rows = slice(len(start) + 6 * k, len(start) + 6 * k + 6)
-        p = float(scipy.stats.chi2.sf(motion @ np.linalg.solve(covariance[rows, rows], motion), 6))
+        p = float(scipy.special.chdtrc(6, motion @ np.linalg.solve(covariance[rows, rows], motion)))
         if p * (len(motions) - 1) < ALIKE and _clear(samples.take(number == k + 1), motion, m):
             places.append(Place(k + 1, motion, p))
     return _taken(recording, places), places

@@ -45,7 +45,7 @@ class Hexapod:
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the commanded axes, as commands.csv heads its columns."""
-        return tuple(f"l{i + 1}" for i in range(6))
+        return ("l1", "l2", "l3", "l4", "l5", "l6")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

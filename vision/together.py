@@ -122,4 +122,4 @@ def _places(measured: Measurement) -> dict[str, tuple]:
 def _apart(one: tuple, other: tuple) -> tuple[np.ndarray, float]:
     """((6,) motion from one place to the other, probability of as much by chance)."""
     motion = log(one[0].inv() * other[0])
-    return motion, float(scipy.stats.chi2.sf(motion @ np.linalg.solve(one[1] + other[1], motion), 6))
+    return motion, float(scipy.special.chdtrc(6, motion @ np.linalg.solve(one[1] + other[1], motion)))

@@ -176,4 +176,4 @@ def agreement(T_vision: RigidTransform, T_limbs: RigidTransform, expected: np.nd
 def still_agrees(T_vision: RigidTransform, covariance: np.ndarray, T_limbs: RigidTransform, own: np.ndarray, common: np.ndarray) -> bool:
     """Whether vision (pose (), covariance (6, 6)) still agrees with the limbs (own (6, 6), common (6, k)), as an occasional check."""
     d = difference(T_vision, T_limbs)
-    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.stats.chi2.isf(TRUST, 6))
+    return bool(d @ np.linalg.solve(covariance + own + common @ common.T, d) < scipy.special.chdtri(6, TRUST))

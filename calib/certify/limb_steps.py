@@ -53,7 +53,7 @@ def slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
     best = int(gain.argmax())
     left = float(y @ y - (Q.T @ y) @ (Q.T @ y) - gain[best])
     scale = max(left / (6 * n - 42), 1.0)  # where the poses are worse than they say
-    if gain[best] / scale < scipy.stats.chi2.isf(RARE / len(gain), 1):
+    if gain[best] / scale < scipy.special.chdtri(1, RARE / len(gain)):
         return None
     limb, at = divmod(best, len(onset))
     return Slip(limb + 1, int(samples.frame[onset[at]]), float(-right[best] / gram[best]), float(np.sqrt(scale / gram[best])))

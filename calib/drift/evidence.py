@@ -99,9 +99,9 @@ def judge(visits: Sequence[Equations], squares: Sequence[tuple[float, int]], sca
     suspects = _ranked(found, log_sum)
     best = suspects[0]
     square = sum(a for a, _ in squares) / scale - drop.get((best.name, best.since), 0.0)
-    left = float(scipy.stats.chi2.sf(square, sum(count for _, count in squares)))
+    left = float(scipy.special.chdtrc(sum(count for _, count in squares), square))
     if alone:
-        return Verdict(*squares[0], 0.0, suspects, left, float(scipy.stats.chi2.sf(squares[0][0], squares[0][1])))
+        return Verdict(*squares[0], 0.0, suspects, left, float(scipy.special.chdtrc(squares[0][1], squares[0][0])))
     return Verdict(*squares[-1], log_sum, suspects, left)
 
 

@@ -20,7 +20,7 @@ from rig.effects.drawing import Drawing, value
 from rig.effects.grid import grid, step
 from rig.effects.motion import SOON, Motion, Path
 from rig.effects.parameter import Parameter
-from rig.effects.places import AXES, axis_word, kind_of
+from rig.effects.places import AXES, axis_word, kind_of, sits, takes_in
 from rig.errors import RigError
 
 REFERENCE_TEMPERATURE = 20.0  # degrees Celsius, at which dimensions are as stated
@@ -283,14 +283,13 @@ class Effect:
 
     def at(self, kind: str) -> bool:
         """Whether this effect sits at a place "kind name"; "rig", "cameras" and "markers" take in all of their kind."""
-        whole = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}
-        return self.place == kind or self.place == whole.get(kind_of(kind))
+        return takes_in(self.place, kind)
 
     def axes(self, places: tuple[str, ...]) -> np.ndarray:
         """(axes,) 1.0 for the axes (their places) where it sits, else 0.0. Raises RigError for an axis that the machine does not have."""
         if kind_of(self.place) in AXES and self.place not in places:
             raise RigError(f"{self.name} sits at {self.place}, and the machine's axes are {places[0]} to {places[-1]}")
-        return np.array([float(self.at(place)) for place in places])
+        return sits(self.place, places).copy()
 
 
 __all__ = ["AXES", "COUNT", "MOTION_STAGES", "QUADRATURE", "REFERENCE_TEMPERATURE", "SOON", "Candidate", "Context", "Covariate", "Effect", "Linear",

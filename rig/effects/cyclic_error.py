@@ -49,6 +49,12 @@ class CyclicError(Effect):
         return Covariate(self.order * self.angle(motion) / (2 * np.pi) % 1, "turn of the drive times order")
 
     @classmethod
+    def columns(cls, candidate: Candidate, node: dict, motion: Motion) -> np.ndarray:
+        effect = cls(candidate.place, **node)
+        angle = effect.order * effect.angle(motion) + effect.phase
+        return effect.axes(motion.places)[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+
+    @classmethod
     def candidates(cls, place: str, context: Context) -> list[Candidate]:
         found = super(CyclicError, cls).candidates(place, context)
         if kind_of(place) != "joint":

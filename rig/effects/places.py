@@ -2,13 +2,18 @@
 
 import re
 from collections.abc import Collection
+from functools import cache
+
+import numpy as np
 
 AXES = ("strut", "joint", "slide")  # what "axis" stands for among an effect's places
+WHOLE = {**dict.fromkeys(AXES, "rig"), "camera": "cameras", "marker": "markers"}  # what takes in all places of a kind
 NUMBER = "[1-9][0-9]{0,8}"
 STAGE = re.compile(rf"stage ({NUMBER}) (.+)")
 SHORT = re.compile(rf"stage[ _]?({NUMBER})[ _]?({'|'.join(AXES)})[ _]?({NUMBER})")
 
 
+@cache
 def kind_of(place: str) -> str:
     """The kind of a place, its first word: "strut" of "strut 3" as of "stage 2 strut 3", "camera" of "camera left", "rig"."""
     return staged(place)[1].split(" ")[0]
@@ -30,3 +35,14 @@ def spelt(text: str, kinds: Collection[str]) -> str | None:
     """The place in a chain that a text means ("stage2strut3"), where axes are among the kinds of place; None for any other text."""
     found = SHORT.fullmatch(text) if "axis" in kinds else None
     return None if found is None else f"stage {found[1]} {found[2]} {found[3]}"
+
+
+def takes_in(place: str, other: str) -> bool:
+    """Whether a place is another, or takes in all of its kind, as "rig" does struts."""
+    return place == other or place == WHOLE.get(kind_of(other))
+
+
+@cache
+def sits(at: str, places: tuple[str, ...]) -> np.ndarray:
+    """(axes,) 1.0 for the axes' places that a place is or takes in, else 0.0."""
+    return np.array([float(takes_in(at, place)) for place in places])

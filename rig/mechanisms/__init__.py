@@ -1,5 +1,6 @@
 """Kinds of machine, one module each, all with inverse, forward, jacobian and limits over a geometry of rig.design."""
 
+from functools import cache
 from typing import Any
 
 from rig.design import Arm, Chain, Free, Hexapod, Planar2
@@ -24,8 +25,13 @@ def places(mechanism: Hexapod | Planar2 | Arm | Chain | Free) -> tuple[str, ...]
         return ()
     if isinstance(mechanism, Chain):
         return tuple(f"stage {k + 1} {place}" for k, stage in enumerate(mechanism.stages) for place in places(stage))
-    words = ["slide" if slide else arm.AXIS for slide in mechanism.slides] if isinstance(mechanism, Arm) else \
-        [of(mechanism).AXIS] * len(mechanism.axes)
+    return _numbered(tuple("slide" if slide else arm.AXIS for slide in mechanism.slides) if isinstance(mechanism, Arm) else
+                     (of(mechanism).AXIS,) * len(mechanism.axes))
+
+
+@cache
+def _numbered(words: tuple[str, ...]) -> tuple[str, ...]:
+    """The places of axes that are called so, counted from 1."""
     return tuple(f"{word} {i + 1}" for i, word in enumerate(words))
 
 

@@ -31,13 +31,13 @@ def davies(deltas: np.ndarray, rank: float, frames: int) -> float:
     chi-square where frames are few."""
     top = max(float(deltas.max()), 1e-12)
     rank = max(int(rank), 1)
-    tail = scipy.stats.f.sf(top / rank, rank, max(frames - rank, 1)) if frames < MANY else scipy.stats.chi2.sf(top, rank)
+    tail = scipy.special.fdtrc(rank, max(frames - rank, 1), top / rank) if frames < MANY else scipy.special.chdtrc(rank, top)
     if len(deltas) == 1:
         return float(tail)
     variation = np.abs(np.diff(np.sqrt(np.maximum(deltas, 0)))).sum()
     half = rank / 2
     log_bound = np.log(max(variation, 1e-12)) + (half - 0.5) * np.log(top) - top / 2 - half * np.log(2) - gammaln(half)
-    heavier = tail / max(scipy.stats.chi2.sf(top, rank), 1e-300)  # what few frames add to the tail, added to the bound as well
+    heavier = tail / max(scipy.special.chdtrc(rank, top), 1e-300)  # what few frames add to the tail, added to the bound as well
     return float(min(1.0, tail + np.exp(min(log_bound, 0)) * min(max(heavier, 1.0), 1e6)))
 
 

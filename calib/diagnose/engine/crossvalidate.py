@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from scipy.linalg import cho_factor, cho_solve
 
 from calib.diagnose.engine.linear import LinearModel
@@ -101,7 +100,9 @@ def signed_rank_gain(fall: np.ndarray) -> float:
     if by.sum() <= 0:
         return 0.0
     n = len(by)
-    return float(scipy.stats.rankdata(np.abs(by)) @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
+    _, at, alike = np.unique(np.abs(by), return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(alike) - (alike - 1) / 2)[at]
+    return float(ranks @ np.sign(by) / np.sqrt(n * (n + 1) * (2 * n + 1) / 6))
 
 
 def summed_gain(fall: np.ndarray, beforehand: float = 0.0) -> float:

@@ -41,7 +41,7 @@ def share(model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.nd
         return Share(0.0, 1.0)
     left = float(np.square(model.blocks[block].residual[model.blocks[block].frames_rows]).sum())
     beyond = sum(u.delta_chi2 * (u.dispersion or 1.0) - u.freedom for u in seen)
-    p = seen[0].p_value if len(seen) == 1 else float(scipy.stats.chi2.sf(sum(u.delta_chi2 for u in seen), sum(u.freedom for u in seen)))
+    p = seen[0].p_value if len(seen) == 1 else float(scipy.special.chdtrc(sum(u.freedom for u in seen), sum(u.delta_chi2 for u in seen)))
     return Share(float(np.clip(beyond / max(left, 1e-300), 0.0, 1.0)), p)
 
 

@@ -42,4 +42,4 @@ def repeats(fit: Fit) -> Repeats | None:
     product = (one[:, :3] * two[:, :3]).sum(axis=1)
     again = float(product.sum() / max(((one[:, :3] ** 2).sum() + (two[:, :3] ** 2).sum()) / 2, 1e-300))
     z = float(product.sum() / max(np.sqrt((product**2).sum()), 1e-300))
-    return Repeats(len(pairs), float(apart.mean()), float(np.sqrt((apart**2).mean())), turned, max(again, 0.0), float(scipy.stats.norm.sf(z)))
+    return Repeats(len(pairs), float(apart.mean()), float(np.sqrt((apart**2).mean())), turned, max(again, 0.0), float(scipy.special.ndtr(-z)))

@@ -49,7 +49,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
     for i in range(k.axes):
         alike = float(following[1:, i] @ following[:-1, i])
         size = np.sqrt(max(alike, 0) / len(k.t) * own[:, i].mean())
-        out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(scipy.stats.norm.sf(alike / np.sqrt(len(k.t) - 1))),
+        out.append(LackOfFit(f"strut {i + 1}", float(size), "m", ("order",), float(scipy.special.ndtr(-(alike / np.sqrt(len(k.t) - 1)))),
                                max(alike, 0.0)))
     scatter = model.closures.scatter
     for i in np.flatnonzero(scatter > 0).tolist():
@@ -57,7 +57,7 @@ def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
         middle = np.median(left[:, i] ** 2) / MEDIAN / noise - 1  # a few wild frames are no scatter
         ratio = middle * np.sqrt(len(k.t) / MEDIAN_SPREAD)
         if ratio > 0:
-            out.append(LackOfFit(f"strut {i + 1}", float(scatter[i]), "m", (), float(scipy.stats.norm.sf(ratio)), float(ratio**2)))
+            out.append(LackOfFit(f"strut {i + 1}", float(scatter[i]), "m", (), float(scipy.special.ndtr(-ratio)), float(ratio**2)))
     return out
 
 
@@ -89,7 +89,7 @@ def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: st
     dispersion."""
     solved = solve(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
-    chance = float(scipy.stats.chi2.sf(delta, max(rank, 1)))
+    chance = float(scipy.special.chdtrc(max(rank, 1), delta))
     if rank and chance > ALPHA:
         return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
@@ -107,5 +107,5 @@ def _following(products: FrameProducts, order: np.ndarray, place: str, informati
     M = np.linalg.pinv(gamma.mean(axis=0), rcond=1e-6, hermitian=True)
     alike = float(np.einsum("fa,ab,fb->", beta[1:], M, beta[:-1]))
     chance = np.sqrt(np.einsum("ab,fbc,cd,fda->", M, gamma[1:], M, gamma[:-1], optimize=True))
-    p = float(scipy.stats.norm.sf(alike / max(chance, 1e-300)))
+    p = float(scipy.special.ndtr(-(alike / max(chance, 1e-300))))
     return LackOfFit(place, float(np.sqrt(max(alike, 0) / information)), "px", ("order",), p, max(alike, 0.0))

@@ -75,7 +75,7 @@ def _reason(problem: PlatformProblem, selection: PlatformSelection, finding: Fin
 def weakened(score: Score, share: float) -> Score:
     """A Score of which tolerances leave a share of its delta chi-square."""
     delta = score.delta_chi2 * min(share, 1.0)
-    chance = float(scipy.stats.chi2.sf(delta, score.freedom))
+    chance = float(scipy.special.chdtrc(score.freedom, delta))
     return score if share >= 1 else replace(score, delta_chi2=delta, p_value=max(score.p_value, chance))
 
 

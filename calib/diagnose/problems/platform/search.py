@@ -11,7 +11,7 @@ from calib.diagnose.engine.candidates import Node
 from calib.diagnose.engine.linear import Column
 from calib.diagnose.engine.products import FrameProducts, Solved
 from calib.diagnose.engine.score import at_node, best_of, unlikely
-from calib.diagnose.problems.platform import spectrum
+from calib.diagnose.problems.platform import compiled, spectrum
 from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore, Reach
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
@@ -20,6 +20,7 @@ from rig.parallel import Progress, parallel_map
 from vision.bundle.derivatives import derivatives
 
 CHUNK = 64  # nodes at a time
+FEW = 8  # columns, above which rows are gathered for a product of matrices
 
 
 def search(model: LinearisedModel, candidates: list[PlatformCandidate], sensitivities: Sensitivities,
@@ -117,22 +118,21 @@ def lasting(model: LinearisedModel, hit: np.ndarray, pixels: np.ndarray) -> inne
     k, c = model.point, model.corners
     at = np.empty(len(c.order), int)
     at[c.order] = np.arange(len(c.order))
-    by = np.argsort(at[hit])
-    rows = at[hit[by]]
-    both = (2 * rows[:, None] + np.arange(2)).ravel()
-    V = (np.einsum("hij,hjq->hiq", c.whiten[rows], pixels[by]) / c.sigma).reshape(2 * len(rows), -1)
-    q, basis = V.shape[1], model.linear.columns.whole
-    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, basis[CORNERS][both].T @ V
-    frames, starts = np.unique(k.observed.observations.frame[hit[by]], return_index=True)
-    own, local = np.zeros((len(frames), c.local.shape[1], q)), c.local[both]
-    for f, (first, end) in enumerate(zip(2 * starts, np.r_[2 * starts[1:], len(V)])):
-        own[f] = local[first:end].T @ V[first:end]
+    both = (2 * at[hit][:, None] + np.arange(2)).ravel()
+    V = (np.einsum("hij,hjq->hiq", c.whiten[at[hit]], pixels) / c.sigma).reshape(len(both), -1)
+    q, basis, frame = V.shape[1], model.linear.columns.whole, np.repeat(k.observed.observations.frame[hit], 2)
+    b, raw, K = V.T @ model.corner_residual[both], V.T @ V, np.empty((q, basis[CORNERS].shape[1]))
+    if q > FEW:
+        K[:] = (basis[CORNERS][both].T @ V).T
+    else:
+        compiled.onto(basis[CORNERS], both, V, K)
+    own = np.empty((model.frames, c.local.shape[1], q))
+    compiled.by_frame(c.local, both, frame, V, own)
     G = raw - np.tensordot(own, own, ((0, 1), (0, 1)))
     if k.axes:
-        moved = (model.closures.to_rows[frames] @ own).reshape(-1, q)
-        here = (k.axes * frames[:, None] + np.arange(k.axes)).ravel()
-        b, G, K = b + moved.T @ model.closure_residual[here], G + moved.T @ moved, K + basis[CLOSURES][here].T @ moved
-    K = model.linear.onto(K.T).T
+        moved = (model.closures.to_rows @ own).reshape(-1, q)
+        b, G, K = b + moved.T @ model.closure_residual[: len(moved)], G + moved.T @ moved, K + moved.T @ basis[CLOSURES][: len(moved)]
+    K = model.linear.onto(K).T
     return inner.Normal(b[None], (G - K.T @ K)[None], np.diag(G)[None].copy())
 
 

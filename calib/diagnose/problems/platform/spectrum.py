@@ -47,7 +47,7 @@ def best_frequency(model: LinearisedModel, candidate: PlatformCandidate, product
     seen = solve(Normal(*(part[best : best + 1] for part in normal))).seen[0]
     ratio = dispersion(model.linear, products, wave(model, near[best : best + 1])[0], coefficients[best]).ratio
     delta = deltas[best] / ratio
-    p = min(1.0, length * high * float(scipy.stats.chi2.sf(delta, free)))
+    p = min(1.0, length * high * float(scipy.special.chdtrc(free, delta)))
     return Score(candidate, {**node, "frequency": float(near[best])}, coefficients[best], float(delta), float(p), free + candidate.extra, ratio,
                  float(seen), deltas / ratio)
 
@@ -75,7 +75,9 @@ def _aliased(t: np.ndarray, count: int, length: float, high: float) -> np.ndarra
     """(count,) bool: frequencies that look like a drift, or like none, at these times."""
     bins, step = _bins(length, high)
     window = np.abs(np.fft.rfft(np.bincount(np.rint((t - t[0]) / step).astype(int), minlength=bins)[:bins], bins)) / len(t)
-    return (scipy.ndimage.maximum_filter1d((window > ALIAS).astype(float), 2 * SLOWEST * OVERSAMPLED + 1) > 0)[:count]
+    reach, before = SLOWEST * OVERSAMPLED, np.r_[0, np.cumsum(window > ALIAS)]
+    at = np.arange(count)
+    return before[np.minimum(at + reach + 1, len(window))] > before[np.maximum(at - reach, 0)]
 
 
 def _tick(t: np.ndarray) -> float:

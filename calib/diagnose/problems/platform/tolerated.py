@@ -137,7 +137,7 @@ def _courses(k: OperatingPoint) -> np.ndarray:
 def at_work(seen: Projection, sigma: np.ndarray) -> bool:
     """Whether tolerances, as they are projected on a model, all together and each within its own sigma (q,), explain more than chance does."""
     solved = solve_with_prior(Normal(seen.right[None], seen.gram[None], np.diag(seen.gram)[None]), sigma)
-    return bool(scipy.stats.chi2.sf(solved.delta_chi2[0], max(solved.rank[0], 1.0)) < ALPHA)
+    return bool(scipy.special.chdtrc(max(solved.rank[0], 1.0), solved.delta_chi2[0]) < ALPHA)
 
 
 def evidence(seen: Projection, sigma: np.ndarray) -> float:
@@ -183,7 +183,7 @@ def slight(model: LinearisedModel, found: Tolerated) -> list[Slight]:
     values, out = covariance @ seen.right, []
     for site in found.sites:
         own, block = values[site.columns], covariance[site.columns, site.columns]
-        p = float(scipy.stats.chi2.sf(own @ np.linalg.solve(block, own), len(own))) * len(found.sites)
+        p = float(scipy.special.chdtrc(len(own), own @ np.linalg.solve(block, own))) * len(found.sites)
         if p < ALPHA:
             out.append(Slight(site, own, np.sqrt(np.diag(block)), p))
     return sorted(out, key=lambda s: s.p_value)
