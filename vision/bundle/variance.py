@@ -6,6 +6,7 @@ Source: Harville, Maximum likelihood approaches to variance component estimation
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.condensed import as_one, repeats, sums
@@ -117,7 +118,7 @@ def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) 
     for _ in range(ROUNDS):
         width = sigma[told.kind]
         M = noise * np.eye(q) + width[:, None] * told.information * width
-        inverse = np.linalg.inv(M)
+        inverse = _inverse(M)
         x = width * (inverse @ (width * told.right))
         known = 1 - noise * np.diag(inverse)
         left = told.cost - 2 * told.right @ x + x @ told.information @ x
@@ -135,3 +136,12 @@ def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) 
     z = width * told.right
     likelihood = np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
     return sigma, float(likelihood)
+
+
+def _inverse(M: np.ndarray) -> np.ndarray:
+    """(q, q) inverse of a symmetric positive definite M (q, q). Raises LinAlgError where it is not."""
+    factor, bad = dpotrf(M, lower=1, clean=1)
+    if bad:
+        raise np.linalg.LinAlgError(f"the information of {len(M)} numbers on prints, noise added, is not positive definite")
+    below, _ = dpotri(factor, lower=1)
+    return np.tril(below) + np.tril(below, -1).T

@@ -13,11 +13,13 @@ from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
 from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian
+from rig.parallel import threaded
 from rig.tolerances import FINDER
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
 EXCESS = 3.0  # standard errors by which struts must scatter beyond the poses' noise before it counts as theirs
+PARTS = 4  # of a long table, multiplied side by side; as many on any number of cores, so that sums are rounded alike
 ROUNDS = 3  # of weighing the struts anew by their scatter
 WILD = 50.0  # standard deviations; a residual counts for no more where the corners' noise is judged
 
@@ -224,7 +226,8 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
     """
     F, axes, seen = len(k.t), k.axes, table.shape[1] - 1
     scatter = np.zeros(axes)
-    inner = table.T @ table
+    parts = np.array_split(table, PARTS)
+    inner = sum(threaded(lambda part: part.T @ part, parts))
     for turn in range(ROUNDS):
         W = np.linalg.inv(np.linalg.cholesky(closures.covariance + np.diag(scatter**2))) if axes else np.zeros((F, 0, 0))
         rows = np.concatenate([(W @ closures.rows).reshape(F * axes, closures.rows.shape[2]), beforehand])
@@ -240,7 +243,7 @@ def _weighed(k: OperatingPoint, frames: CornerFrames, table: np.ndarray, closure
         if np.abs(new - scatter).max() < 1e-8:
             break
         scatter = new
-    Q = Column((table[:, 1:] @ half[:seen], basis))
+    Q = Column((np.concatenate(threaded(lambda part: part[:, 1:] @ half[:seen], parts)), basis))
     blocks = (Block("corners", "px", table[:, 0] - Q.parts[CORNERS] @ z, 2 * frames.edges),
               Block("closures", "m", rows[:, 0] - Q.parts[CLOSURES] @ z, np.arange(F + 1) * axes))
     size = len(table) - (frames.local.shape[1] * F if len(table) else 0) + F * axes - basis.shape[1]
