@@ -1,8 +1,8 @@
 """OpenCV's lens: project with Jacobian, undistort. Points in the camera's frame (OpenCV axes: x right, y down, z ahead)."""
 
-from typing import Any
-
 import numpy as np
+
+from vision import compiled
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
@@ -15,7 +15,10 @@ def project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> n
     matrix : (3, 3) px; distortion : (4, 5, 8, 12 or 14,) in OpenCV's order. A point must lie ahead (z > 0).
     Source: OpenCV, calib3d camera model
     """
-    return _project(np.asarray(points, float), matrix, distortion, jacobian=False)
+    flat, matrix, k = _flat(points, matrix, distortion)
+    uv, tilted = np.empty((len(flat), 2)), bool(k[12:].any())
+    compiled.project(flat, np.eye(3) if tilted else matrix, k, uv)
+    return (_on_sensor(uv, matrix, _tilt(*k[12:])) if tilted else uv).reshape(*np.shape(points)[:-1], 2)
 
 
 def project_jacobian(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -23,7 +26,14 @@ def project_jacobian(points: np.ndarray, matrix: np.ndarray, distortion: np.ndar
 
     Lens columns: fx fy cx cy (px/px), then the distortion terms in OpenCV's order.
     """
-    return _project(np.asarray(points, float), matrix, distortion, jacobian=True)
+    flat, matrix, k = _flat(points, matrix, distortion)
+    sensor, shape = len(distortion) == 14, np.shape(points)[:-1]
+    uv, to_point, to_lens = np.empty((len(flat), 2)), np.empty((len(flat), 2, 3)), np.empty((len(flat), 2, 4 + len(distortion)))
+    compiled.derivatives(flat, np.eye(3) if sensor else matrix, k, uv, to_point, to_lens)
+    if sensor:
+        _derivatives_on_sensor(uv, to_point, to_lens, matrix, k[12:])
+        uv = _on_sensor(uv, matrix, _tilt(*k[12:]))
+    return uv.reshape(*shape, 2), to_point.reshape(*shape, 2, 3), to_lens.reshape(*shape, 2, -1)
 
 
 def undistort(uv: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
@@ -55,58 +65,31 @@ def terms(distortion: np.ndarray) -> tuple[str, ...]:
     return INTRINSICS + DISTORTION[: len(distortion)]
 
 
-def _project(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray, jacobian: bool) -> Any:
-    k = np.zeros(14)
-    k[: len(distortion)] = distortion
-    z = points[..., 2]
-    x, y = points[..., 0] / z, points[..., 1] / z
-    xx, xy, yy = x * x, x * y, y * y
-    r2 = xx + yy
-    numerator = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    denominator = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    radial = numerator / denominator
-    xd = x * radial + 2 * k[2] * xy + k[3] * (r2 + 2 * xx) + r2 * (k[8] + r2 * k[9])
-    yd = y * radial + k[2] * (r2 + 2 * yy) + 2 * k[3] * xy + r2 * (k[10] + r2 * k[11])
-    tilt = _tilt(k[12], k[13]) if k[12] or k[13] else None
-    xt, yt = (xd, yd) if tilt is None else _apply_tilt(tilt, xd, yd)
-    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    uv = np.stack([fx * xt + cx, fy * yt + cy], axis=-1)
-    if not jacobian:
-        return uv
-    n = len(distortion)
-    dradial = ((k[0] + r2 * (2 * k[1] + 3 * r2 * k[4])) - radial * (k[5] + r2 * (2 * k[6] + 3 * r2 * k[7]))) / denominator  # to r2
-    to_ideal = np.empty((*x.shape, 2, 2))  # (xd, yd) to (x, y)
-    thin_x, thin_y = k[8] + 2 * r2 * k[9], k[10] + 2 * r2 * k[11]
-    to_ideal[..., 0, 0] = radial + 2 * xx * dradial + 2 * k[2] * y + 6 * k[3] * x + 2 * x * thin_x
-    to_ideal[..., 0, 1] = 2 * xy * dradial + 2 * k[2] * x + 2 * k[3] * y + 2 * y * thin_x
-    to_ideal[..., 1, 0] = 2 * xy * dradial + 2 * k[2] * x + 2 * k[3] * y + 2 * x * thin_y
-    to_ideal[..., 1, 1] = radial + 2 * yy * dradial + 6 * k[2] * y + 2 * k[3] * x + 2 * y * thin_y
-    to_terms = np.zeros((*x.shape, 2, 14))
-    for i, factor in ((0, r2), (1, r2**2), (4, r2**3)):
-        to_terms[..., 0, i], to_terms[..., 1, i] = x * factor / denominator, y * factor / denominator
-    for i, factor in ((5, r2), (6, r2**2), (7, r2**3)):
-        to_terms[..., 0, i], to_terms[..., 1, i] = -x * radial * factor / denominator, -y * radial * factor / denominator
-    to_terms[..., 0, 2], to_terms[..., 1, 2] = 2 * xy, r2 + 2 * yy
-    to_terms[..., 0, 3], to_terms[..., 1, 3] = r2 + 2 * xx, 2 * xy
-    to_terms[..., 0, 8], to_terms[..., 0, 9], to_terms[..., 1, 10], to_terms[..., 1, 11] = r2, r2**2, r2, r2**2
-    if tilt is not None or n == 14:
-        to_distorted = _tilt_jacobian(tilt if tilt is not None else np.eye(3), xd, yd)
-        to_ideal = to_distorted @ to_ideal
-        to_terms = to_distorted @ to_terms
-        for i in (12, 13):
-            step = np.zeros(2, complex)
-            step[i - 12] = 1e-30j  # complex step: exact for this analytic function
-            shifted = _apply_tilt(_tilt(k[12] + step[0], k[13] + step[1]), xd, yd)
-            to_terms[..., 0, i], to_terms[..., 1, i] = shifted[0].imag / 1e-30, shifted[1].imag / 1e-30
-    ideal_to_point = np.zeros((*x.shape, 2, 3))
-    ideal_to_point[..., 0, 0] = ideal_to_point[..., 1, 1] = 1 / z
-    ideal_to_point[..., 0, 2], ideal_to_point[..., 1, 2] = -x / z, -y / z
-    focal = np.array([fx, fy])[:, None]
-    J_lens = np.zeros((*x.shape, 2, 4 + n))
-    J_lens[..., 0, 0], J_lens[..., 1, 1] = xt, yt
-    J_lens[..., 0, 2] = J_lens[..., 1, 3] = 1
-    J_lens[..., 4:] = focal * to_terms[..., :n]
-    return uv, focal * (to_ideal @ ideal_to_point), J_lens
+def _flat(points: np.ndarray, matrix: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(points (n, 3), matrix (3, 3), all terms (14,)), as kernels take them."""
+    terms = np.zeros(14)
+    terms[: len(distortion)] = distortion
+    return np.ascontiguousarray(np.reshape(points, (-1, 3)), float), np.ascontiguousarray(matrix, float), terms
+
+
+def _on_sensor(distorted: np.ndarray, matrix: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of distorted coordinates (n, 2), by a tilted sensor."""
+    return np.stack(_apply_tilt(tilt, *distorted.T), axis=-1) * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]
+
+
+def _derivatives_on_sensor(distorted: np.ndarray, to_point: np.ndarray, to_lens: np.ndarray, matrix: np.ndarray, tau: np.ndarray) -> None:
+    """Derivatives (n, 2, 3) and (n, 2, 18) of distorted coordinates (n, 2) become those of pixels, by a sensor tilted by tau (2,)."""
+    tilt, focal = _tilt(*tau), np.array([matrix[0, 0], matrix[1, 1]])[:, None]
+    J = _tilt_jacobian(tilt, *distorted.T)
+    to_point[:] = focal * (J @ to_point)
+    to_lens[..., 4:16] = J @ to_lens[..., 4:16]
+    for i in range(2):
+        step = np.zeros(2, complex)
+        step[i] = 1e-30j  # complex step: exact for this analytic function
+        shifted = _apply_tilt(_tilt(*(tau + step)), *distorted.T)
+        to_lens[:, 0, 16 + i], to_lens[:, 1, 16 + i] = shifted[0].imag / 1e-30, shifted[1].imag / 1e-30
+    to_lens[..., 4:] *= focal
+    to_lens[:, 0, 0], to_lens[:, 1, 1] = _apply_tilt(tilt, *distorted.T)
 
 
 def _tilt(tau_x: complex, tau_y: complex) -> np.ndarray:

@@ -15,7 +15,7 @@ from rig.errors import RigError
 from rig.machine import Run
 from rig.pose import exp, transform_points
 from rig.recording import Sensors
-from vision import lens
+from vision import compiled, lens
 from vision.targets import MarkerMap
 
 STEEPEST = np.cos(np.radians(78))  # markers seen more obliquely than this are not expected
@@ -253,11 +253,10 @@ def body_points(observations: ObservedCorners, state: State) -> np.ndarray:
 
 def base_points(observations: ObservedCorners, state: State) -> np.ndarray:
     """(n, 3) m, the observed points in the base frame."""
-    points = body_points(observations, state).copy()
-    on = observations.on_platform
-    matrix = state.platform.as_matrix()[observations.frame[on]]
-    points[on] = (matrix[:, :3, :3] @ points[on][..., None])[..., 0] + matrix[:, :3, 3]
-    return points
+    points = np.ascontiguousarray(body_points(observations, state))
+    out = np.empty(points.shape)
+    compiled.carried(points, state.platform.as_matrix(), observations.frame, observations.on_platform, out)
+    return out
 
 
 def in_camera(points: np.ndarray, frame: np.ndarray, state: State, i: int) -> np.ndarray:

@@ -4,10 +4,12 @@ Source: Harville, Maximum likelihood approaches to variance component estimation
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
+from rig.parallel import threaded
 from vision.bundle.adjust import Adjustment, adjust
 from vision.bundle.condensed import as_one, repeats, sums
 from vision.bundle.normal import linearise, normal_equations, promised, reduce, step
@@ -102,7 +104,9 @@ def _printing(told: _Told) -> Printing | None:
     there = np.ones(len(KINDS), bool)
     sigma, best = _likeliest(told, there)
     while there.any():
-        without = {int(k): _likeliest(told, there & (np.arange(len(KINDS)) != k), sigma) for k in np.flatnonzero(there)}
+        kinds = np.flatnonzero(there).tolist()
+        fewer = [there & (np.arange(len(KINDS)) != k) for k in kinds]
+        without = dict(zip(kinds, threaded(partial(_likeliest, told, start=sigma), fewer)))
         least = min(without, key=lambda k: without[k][1])
         if without[least][1] - best > PROOF:
             return Printing(*sigma.tolist())
