@@ -84,7 +84,8 @@ def held_out(calibration: Calibration, recordings: Sequence[Recording], progress
         same = store.seen_before(calibration, recording)
         if same:
             raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
-                           "themselves or what was measured from them; a certificate takes poses that did not")
+                           "themselves or what was measured from them; a certificate takes poses that did not. Of a recording alone, --mask keeps "
+                           "some frames from rig calibrate, and then the others from rig certify")
         if recording.design.mechanism.kind != calibration.correction.nominal.kind:
             raise RigError(f"{path} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
                            f"{calibration.correction.nominal.kind!r}")

@@ -96,8 +96,8 @@ def _levels_of_file(strokes: np.ndarray, path: Path) -> list[np.ndarray]:
 
 
 def simplices(strokes: np.ndarray, shells: int = 2, fill: float = FILL) -> np.ndarray:
-    """Vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on each shell, the
-    axes' ends and the corners of a half fraction of the cube, which together split it into simplices."""
+    """(n, axes) vertices of simplices that fill the configuration space (patent [0033], [0034]): the centre and, on each shell, the
+    axes' ends and the corners of a half fraction of the cube, which together split it into simplices. strokes : (axes, 2) m or rad"""
     axes = len(strokes)
     ends = np.concatenate([np.eye(axes), -np.eye(axes)])
     corners = np.array([signs for signs in product((-1, 1), repeat=axes) if np.prod(signs) > 0])

@@ -29,7 +29,7 @@ def test_an_index_lists_pages_with_their_verdicts_and_is_kept_up_to_date(tmp_pat
     (tmp_path / "half.html").write_bytes(b"\xff\xfe")
     assert main(["index"]) == 0 and 'a "b" & <c>' in capsys.readouterr().out
     index = (tmp_path / "index.html").read_text()
-    assert 'href="measured/report.html"' in index and "a &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
+    assert 'href="measured/report.html"' in index and "A &quot;b&quot; &amp; &lt;c&gt;" in index and "mine" not in index
     assert read(tmp_path / "index.html").state == State.CHECK and [found.why for found in pages(tmp_path)] == ['a "b" & <c>']
     assert main(["view", str(BENCH / "check"), "--page", "view.html"]) == 0
     assert 'href="index.html">All pages' in (tmp_path / "view.html").read_text() and 'href="view.html"' in (tmp_path / "index.html").read_text()

@@ -64,7 +64,7 @@ def nothing_seen(frame: int) -> Observations:
 
 
 def only(observations: Observations, solved: np.ndarray) -> Observations:
-    """The corners of the frames (indices) that are solved, those frames counted anew."""
+    """The corners of the frames (indices (k,)) that are solved, those frames counted anew."""
     kept = observations.take(np.isin(observations.frame, solved))
     return replace(kept, frames=observations.frames[solved], frame=np.searchsorted(solved, kept.frame))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.page.document import Link, Page, State, Verdict, write
-from rig.page.figure import Series, panel
+from rig.page.figure import Series, panel, panels
 from rig.page.parts import heading, note, paragraph, table
 from rig.page.plane import Arrows, Cells, image_plane
 from vision.lenses.photographs import Calibrated
@@ -26,10 +26,11 @@ def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -
     parts = [paragraph(f"{len(found.used)} photographs, {fit.inliers.sum()} corners; the fit leaves {fit.rms:.4f} px RMS per axis, on photographs "
                        f"held out {f'{held.rms:.4f} px' if held else 'nothing is known'}."), heading("Lens models"),
              note("Every photograph in turn is predicted by a lens fitted to the others; of models within one standard error of the best the "
-                  "simplest is taken."), table(("model", "fitted, px RMS", "held out, px RMS", ""), _models(found)), _held(found),
-             heading("What the lens leaves over"), _residuals(found), heading("Uncertainty of projection"),
-             note("Standard uncertainty of where a direction is seen, px, less what a small turn of the camera would undo. Dots: corners. Few of "
-                  "them, or none, near an edge make it grow there."), _uncertainty(found), heading("Parameters"),
+                  "simplest is taken."), table(("model", "fitted, px RMS", "held out, px RMS", ""), _models(found)),
+             heading("What the lens leaves over, and how well it is known"),
+             note("Uncertainty: the standard one of where a direction is seen, px, less what a small turn of the camera would undo. Dots are "
+                  "corners; few of them, or none, near an edge make it grow there."),
+             panels(_residuals(found), _uncertainty(found), _held(found)), heading("Parameters"),
              table(("term", "value", "± (k = 2)"), terms)]
     if found.left_out:
         parts += [heading("Photographs left out"), table(("photograph", "reason"), [(p.name, reason) for p, reason in found.left_out])]
@@ -48,8 +49,8 @@ def judged(found: Calibrated) -> Verdict:
 
 def to_do(found: Calibrated) -> list[str]:
     """What an owner does next with a lens."""
-    more = len(found.used) < FEW or found.worst > UNSURE
-    steps = ["Take more photographs with the board near the edges that are dark in the map of uncertainty, tilted this way and that"] if more else []
+    more = "Take more photographs with the board near the edges that are bluest in the map of uncertainty, tilted this way and that"
+    steps = [more] if len(found.used) < FEW or found.worst > UNSURE else []
     return [*steps, "Put `camera.toml` into rig.toml in place of the camera's block, and measure with `--hold lenses`"]
 
 
@@ -69,11 +70,12 @@ def _residuals(found: Calibrated) -> str:
     camera, uv, r, good = found.fit.camera, found.observations.uv, found.fit.residuals, found.fit.inliers
     drawn = DRAWN * camera.width
     common = max(float(np.quantile(np.abs(r[good]), 0.98)), 1e-9)
-    return image_plane(f"{good.sum()} corners used", f"an arrow of {drawn:.0f} px is {common:.3f} px", (camera.width, camera.height),
+    return image_plane(f"residuals of {good.sum()} corners", f"an arrow of {drawn:.0f} px is {common:.3f} px", (camera.width, camera.height),
                        (Arrows(uv[good], r[good], drawn / common, "px", 0), Arrows(uv[~good], r[~good], 1.0, "px, set aside", 3)))
 
 
 def _uncertainty(found: Calibrated) -> str:
     camera, centre = found.fit.camera, found.uv.reshape(-1, 2)
-    return image_plane(f"{found.middle:.3f} px in the middle", f"the darkest: {found.worst:.3f} px", (camera.width, camera.height),
-                       (Cells(centre, found.sigma.ravel(), float(abs(found.uv[0, 1, 0] - found.uv[0, 0, 0])), "px"),), found.observations.uv)
+    cells = Cells(centre, found.sigma.ravel(), float(abs(found.uv[0, 1, 0] - found.uv[0, 0, 0])), "px")
+    return image_plane(f"uncertainty, {found.middle:.3f} px in the middle", f"where it is bluest: {found.worst:.3f} px",
+                       (camera.width, camera.height), (cells,), found.observations.uv)

@@ -8,6 +8,7 @@ import numpy as np
 from calib.workspace import drawing, words
 from calib.workspace.cells import Workspace
 from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.figure import panels
 from rig.page.parts import heading, note, paragraph, table
 
 SINGULAR = 0.02  # of the greatest singular value, below which a place is near a singularity
@@ -23,8 +24,7 @@ def workspace_page(path: Path | str, name: str, w: Workspace, unit: str, room_of
     parts = [*(paragraph(f"{line}.") for line in rest),
              note(f"Cells of {w.size * 1e3:.3g} mm, those behind each other as one. Poses: all configurations of the strokes, all axes free of each "
                   f"other; what depends on history, temperature and load is not in it. Room: of {room_of}.")]
-    for q in quantities:
-        parts += [heading(q.name.capitalize()), *drawing.titled(w, q)]
+    parts.append(panels(*("<div>" + "".join(drawing.titled(w, q)) + "</div>" for q in quantities)))
     if certified is not None:
         known = np.flatnonzero(np.isfinite(certified[:, 0]))
         rows = [(*(f"{value * 1e3:.0f}" for value in w.centre[k]), f"{certified[k, 0] * 1e6:.1f}",

@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.statement.certificate import Certificate
 from calib.statement.words import um
-from rig.page.svg import hover, svg, text, ticks
+from rig.page.svg import hover, svg, text, text_within, ticks
 
 
 def distribution(c: Certificate) -> str:
@@ -35,26 +35,46 @@ def distribution(c: Certificate) -> str:
 
 
 def cells(c: Certificate) -> str:
-    """The cells of the volume from above (x, y) and from the side (x, z), each with its bound; the worst of those that lie behind each other."""
-    parts, height, left = [], 0.0, 30.0
+    """The cells of the volume from above (x, y) and from the side (x, z), each with its bound; where some lie behind each other, the worst."""
+    parts, height, left = [], 0.0, 6.0
     worst = max(cell.promise.position.upper for cell in c.cells)
+    boxes = np.array([(cell.low, cell.high) for cell in c.cells])
+    bounds = np.array([cell.promise.position.upper for cell in c.cells])
     for a, b in ((0, 1), (0, 2)):
         low, high = np.array(c.volume.low)[[a, b]], np.array(c.volume.high)[[a, b]]
-        scale = min(350 / (high[0] - low[0]), 220 / (high[1] - low[1]))
+        scale = min(388 / (high[0] - low[0]), 260 / (high[1] - low[1]))
         base = height + 20 + scale * (high[1] - low[1])
-        boxes: dict[tuple[float, ...], float] = {}
-        for cell in c.cells:
-            key = (cell.low[a], cell.low[b], cell.high[a], cell.high[b])
-            boxes[key] = max(boxes.get(key, 0.0), cell.promise.position.upper)
-        for (x0, y0, x1, y1), bound in boxes.items():
+        for (x0, y0, x1, y1), bound in seen(boxes[:, :, [a, b]], bounds):
             at, up, wide, tall = left + scale * (x0 - low[0]), base - scale * (y1 - low[1]), scale * (x1 - x0), scale * (y1 - y0)
-            shade = 0.1 + 0.5 * bound / worst / len(boxes) ** 0.3
-            parts += [f'<rect class="cell" fill-opacity="{shade:.2f}" x="{at:.1f}" y="{up:.1f}" width="{wide:.1f}" height="{tall:.1f}">'
-                      f"{hover(f'{bound * 1e6:.1f} um')}</rect>", text(at + wide / 2, up + tall / 2 + 4, f"{bound * 1e6:.1f}", "middle")]
+            parts.append(f'<rect class="cell" fill-opacity="{0.1 + 0.5 * bound / worst:.2f}" x="{at:.1f}" y="{up:.1f}" width="{wide:.1f}" '
+                         f'height="{tall:.1f}">{hover(f"{bound * 1e6:.1f} um")}</rect>')
+            parts.append(text_within((at, up, wide, tall), f"{bound * 1e6:.0f}"))
         parts += [text(left, height + 14, f"{'xyz'[b]} up, {low[1] * 1e3:.0f} to {high[1] * 1e3:.0f} mm"),
                   text(left, base + 16, f"{'xyz'[a]} to the right, {low[0] * 1e3:.0f} to {high[0] * 1e3:.0f} mm")]
         height = base + 26
     return svg(int(height) + 6, "bounds in um, cell by cell, from above and from the side", parts)
+
+
+def seen(boxes: np.ndarray, values: np.ndarray) -> list[tuple[tuple[float, ...], float]]:
+    """What is seen of boxes that lie behind each other: rectangles that do not overlap, each with the greatest value of those behind it.
+
+    boxes : (n, 2, 2), low and high corner; values : (n,)
+    Returns [((x low, y low, x high, y high), value)]
+    """
+    xs, ys = np.unique(boxes[:, :, 0]), np.unique(boxes[:, :, 1])
+    middle = np.stack(np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij"), axis=-1)
+    behind = ((middle[:, :, None] > boxes[:, 0]) & (middle[:, :, None] < boxes[:, 1])).all(axis=-1)
+    greatest = np.where(behind, values, -np.inf).max(axis=-1)
+    out, left = [], np.isfinite(greatest)
+    for i, j in np.argwhere(left).tolist():
+        if not left[i, j]:
+            continue
+        same = left & (greatest == greatest[i, j])
+        wide = int(np.argmin(np.append(same[i:, j], False)))
+        tall = int(np.argmin(np.append(same[i : i + wide, j:].all(axis=0), False)))
+        left[i : i + wide, j : j + tall] = False
+        out.append((tuple(map(float, (xs[i], ys[j], xs[i + wide], ys[j + tall]))), float(greatest[i, j])))
+    return out
 
 
 def budget(c: Certificate) -> str:

@@ -4,6 +4,7 @@ import numpy as np
 
 from calib.workspace.cells import SHORT, Workspace
 from rig.effects.covariate import DRAWN
+from rig.rounded import rounded
 
 
 def lines(w: Workspace, unit: str) -> list[str]:
@@ -22,7 +23,7 @@ def lines(w: Workspace, unit: str) -> list[str]:
 
 
 def _span(values: np.ndarray) -> str:
-    low, high = f"{values.min():.3g}", f"{values.max():.3g}"
+    low, high = rounded(values.min()), rounded(values.max())
     return low if low == high else f"{low} to {high}"
 
 

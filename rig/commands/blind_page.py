@@ -50,7 +50,7 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
     parts = [paragraph(f"{len(cases)} blinded cases ({said}). Strength is an effect's signal-to-noise over all corners once cameras and geometry "
                        f"have taken what they can; an effect is strong from {score.STRONG:g} on. Intervals are Clopper and Pearson's, 95 %."),
              table(("what", "hits", "of", "share", "interval", "to reach"), [_figure(f) for f in score.figures(cases)]),
-             table(("median", ""), [(name, f"{value:.3g}") for name, value in score.medians(cases).items()]),
+             table(("median", ""), [(name, "not known" if math.isnan(value) else f"{value:.3g}") for name, value in score.medians(cases).items()]),
              heading("By effect"), note("Strong ones, in cases with one or two."), _grouped(score.by_effect(cases), "effect"),
              heading("By strength"), _grouped(score.by_strength(cases), "signal-to-noise")]
     if any(c.hidden for c in cases):

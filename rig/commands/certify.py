@@ -7,7 +7,7 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, near, print_unsolved
+from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, near, print_unsolved, read_recording
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -68,6 +68,8 @@ def arguments(parser: ArgumentParser) -> None:
         parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
     parser.add_argument("--country", metavar="XX", default="ZZ", help="where, two capital letters (ISO 3166-1)")
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
+    parser.add_argument("--mask", metavar="FRAMES", help="leave these frames of the one recording out, for example 0-11: those that "
+                        "`rig calibrate --mask` left in")
     add_force(parser)
     add_result(parser)
 
@@ -115,9 +117,10 @@ def run(arguments: Namespace) -> None:
 def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:
     """[(Recording, Sampled)], none of whose data took part in fitting or is there twice. Raises RigError naming what did."""
     from calib.from_recordings import held_out
-    from rig import recording as recordings
 
-    loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.recordings]
+    if arguments.mask is not None and len(arguments.recordings) > 1:
+        raise RigError("--mask names frames of one recording; certify by that one alone")
+    loaded = [read_recording(arguments, path) for path in arguments.recordings]
     return held_out(calibration, loaded, progress, str(arguments.calibration))
 
 

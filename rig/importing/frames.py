@@ -141,7 +141,9 @@ def exposed(found: list[Picture], images: Images, plausible: Callable[[np.ndarra
     numbered, timed = [p.frame is not None for p in found], [p.stamp is not None for p in found]
     if any(numbered) and not all(numbered) or any(timed) and not all(timed):
         odd = found[(numbered if any(numbered) and not all(numbered) else timed).index(False)]
-        raise FileError(odd.path, "its name is not built as the others'; --set 'images.names=..' says how, and other images go into another folder")
+        known = ", ".join(sorted({p.camera for p in found}))
+        raise FileError(odd.path, f"its name is not built as the others', read as images of {known}; a camera that rig.toml lacks is to be put "
+                                  "there, --set 'images.names=..' says how names are built, and other images go into another folder")
     said: tuple[str, ...] = ()
     t = None
     if all(timed):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rig.files import write_text
-from rig.page.parts import listed, words
+from rig.page.parts import capital, listed, words
 
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
 
@@ -59,14 +59,14 @@ def text(page: Page) -> str:
     """HTML of a Page."""
     state, why = page.verdict
     links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
-    steps = listed(page.next_steps, ordered=len(page.next_steps) > 1)
+    steps = listed(map(capital, page.next_steps), ordered=len(page.next_steps) > 1)
     style, script = asset("theme.css") + asset("document.css"), asset("document.js")
     described = html.escape(f"{state}: {why}")
     return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
             f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'
             f'<meta name="generator" content="rig {html.escape(page.kind)}"><meta name="description" content="{described}">'
             f"<title>{html.escape(page.title)}</title><style>{style}</style></head>\n<body>\n"
-            f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {words(why)}.</p><h1>{html.escape(page.title)}</h1>'
+            f'<header class="{state}"><p class="verdict"><strong>{state}</strong> {words(capital(why))}.</p><h1>{html.escape(page.title)}</h1>'
             + (f'<nav aria-label="other pages">{links}</nav>' if links else "")
             + "</header>\n<main>\n" + (f'<section class="next"><h2>What to do next</h2>{steps}</section>\n' if page.next_steps else "")
             + "\n".join(page.parts)

@@ -1,15 +1,15 @@
 """Figures with axes: dots, lines, bars and intervals over two scales, in units that the caller has chosen; a panel is as wide as a phone."""
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.page.letters import escaped, wide, wrapped
 from rig.page.scale import Scale, around
 from rig.page.svg import TEXT, hover, svg, text
 
-LEFT, RIGHT, BELOW = 52.0, 392.0, 40.0
+LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
 HIGH = 190.0  # of a panel's drawing
 MOST = 2500  # dots of a series that are drawn: of more, evenly chosen ones
 COLOURS = 6  # that document.css has
@@ -39,19 +39,20 @@ def panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bo
     across, or None"""
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
-    top = 12.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
+    top = 16.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
     bottom = top + HIGH
     halves = [s.half for s in series if s.half is not None]
     ys = [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)] if halves else \
          [s.y for s in series]
-    x = around(np.concatenate([s.x for s in series]), (LEFT, RIGHT))
+    across = np.concatenate([s.x for s in series])
+    x = around(across, (LEFT, RIGHT), whole=bool(np.all(across == np.round(across))))
     y = around(np.concatenate(ys + ([] if level is None else [np.array([level])])), (bottom, top), log, limits)
     parts = [text(LEFT, 14, title, style="name"), *_legend(legend, rows, TEXT + 24.0), *_axes(x, y, labels)]
     if level is not None:
         parts.append(f'<path class="level" d="M{LEFT} {float(y.at(level)):.1f}H{RIGHT}"/>')
     parts += [_drawn(s, x, y) for s in series]
-    said = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{html.escape("|".join(labels))}"'
-    return svg(int(bottom + BELOW), f"{title}: {labels[1]} over {labels[0]}", parts, said)
+    said = f' data-x="{x.said()}" data-y="{y.said()}" data-labels="{escaped("|".join(labels))}"'
+    return svg(int(bottom + BELOW + 17 * len(_below(labels[0]))), f"{title}: {labels[1]} over {labels[0]}", parts, said)
 
 
 def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[float], int]], unit: str, marked: Sequence[str] = ()) -> str:
@@ -60,16 +61,17 @@ def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[
     top = 10.0 + TEXT + 7 + 18.0 * (max(row for row, _ in rows) + 1)
     deep = 12 * len(groups) + 8
     most = max([v for _, values, _ in groups for v in values if np.isfinite(v)], default=0.0) or 1.0
-    left = 16 + min(160.0, 7.2 * max([len(n) for n in names], default=1))
-    parts = [text(4, 14, title, style="name"), *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0)]
+    left = 16 + min(160.0, 1.1 * max([wide(n, TEXT) for n in names], default=1.0))
+    named = f"{title}, {unit}" if unit else title
+    parts = [text(4, 14, named, style="name"), *_legend([Series(np.zeros(0), np.zeros(0), g[0], "bars", g[2]) for g in groups], rows, TEXT + 24.0)]
     for k, name in enumerate(names):
         at = top + deep * k
         parts.append(text(left - 8, at + 6 * len(groups) + 4, name, "end", "name" if name in marked else ""))
         for row, (group, values, colour) in enumerate(groups):
-            wide = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
-            parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{wide:.1f}" height="10">'
+            long = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
+            parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{long:.1f}" height="10">'
                          f"{hover(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
-            parts.append(text(left + wide + 4, at + 12 * row + 9, f"{values[k]:.3g}" if np.isfinite(values[k]) else "", style="small"))
+            parts.append(text(left + long + 4, at + 12 * row + 9, f"{values[k]:.3g}" if np.isfinite(values[k]) else "", style="small"))
     return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
 
 
@@ -80,19 +82,24 @@ def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:
         parts += [f'<path class="tick" d="M{float(x.at(v)):.1f} {top:.1f}V{bottom:.1f}"/>', text(float(x.at(v)), bottom + 16, f"{v:g}", "middle")]
     for v in y.ticks:
         parts += [f'<path class="tick" d="M{LEFT} {float(y.at(v)):.1f}H{RIGHT}"/>', text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end")]
-    across = bottom + 33
-    return [*parts, text((LEFT + RIGHT) / 2, across, labels[0], "middle"), text(4, top - 6, labels[1])]
+    below = [text((LEFT + RIGHT) / 2, bottom + 33 + 17 * k, line, "middle") for k, line in enumerate(_below(labels[0]))]
+    return [*parts, *below, text(4, top - 6, labels[1])]
+
+
+def _below(label: str) -> list[str]:
+    """Lines of a label below an axis."""
+    return wrapped(label, TEXT, RIGHT - LEFT)
 
 
 def _rows(names: Sequence[str]) -> list[tuple[int, float]]:
     """[(row, place)] of a legend's names, as many in a row as fit."""
     places, row, at = [], 0, LEFT
     for name in names:
-        wide = 32 + 7.4 * len(name)
-        if at > LEFT and at + wide > RIGHT:
+        room = 32 + wide(name, TEXT)
+        if at > LEFT and at + room > RIGHT:
             row, at = row + 1, LEFT
         places.append((row, at))
-        at += wide
+        at += room
     return places
 
 
@@ -120,7 +127,7 @@ def _drawn(s: Series, x: Scale, y: Scale) -> str:
     every = -(-len(known) // MOST) if s.kind != "line" else 1
     known = known[:: max(every, 1)]
     at = np.stack([x.at(s.x[known]), np.clip(y.at(s.y[known]), y.end, y.start)], axis=1)
-    name = f' data-name="{html.escape(s.name)}"' if s.name else ""
+    name = f' data-name="{escaped(s.name)}"' if s.name else ""
     if s.kind == "line":
         d = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in at.tolist()) if len(at) else ""
         return f'<path class="{_style(s)}"{name} d="{d}"/>'

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from rig.errors import RigError
 from rig.files import Outputs
 from rig.page.document import Link, Page, State, Verdict, write
-from rig.page.parts import heading
+from rig.page.parts import capital, heading, words
 
 NAME = "index.html"
 KIND = "index"
@@ -60,7 +60,7 @@ def index_page(path: Path, folder: Path) -> None:
     state = next((state for state in WORST if count[state]), State.CHECK)
     why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
     items = "".join(f'<li><span class="badge {found.state}">{found.state}</span> <a href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
-                    f'<br><span class="note">{html.escape(found.why)}</span></li>' for found in known)
+                    f'<br><span class="note">{words(capital(found.why))}</span></li>' for found in known)
     parts = [heading("Pages"), f'<ul class="pages">{items}</ul>'] if known else []
     steps = [] if known else ["Begin with a recording: `rig measure REC --out measured`"]
     write(path, Page(KIND, folder.resolve().name, Verdict(state, why), parts, steps))

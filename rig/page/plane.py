@@ -1,11 +1,11 @@
 """Figures of a plane seen straight on, as a camera's image: arrows, crosses, and cells of a grid by their value."""
 
-import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.page.letters import escaped
 from rig.page.svg import TEXT, WIDTH, hover, svg, text
 
 TOP = TEXT + 11.0
@@ -46,7 +46,7 @@ def image_plane(title: str, below: str, size: tuple[float, float], layers: Seque
         return points * scale + [4 + scale / 2, TOP + scale / 2]
 
     for layer in layers:
-        parts += _cells(layer, placed, scale) if isinstance(layer, Cells) else [_arrows(layer, placed, scale)]
+        parts += _cells(layer, placed, scale, TOP + tall) if isinstance(layer, Cells) else [_arrows(layer, placed, scale)]
     if dots is not None and len(dots):
         d = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in placed(dots[:: -(-len(dots) // MOST)]).tolist())
         parts.append(f'<path class="specks" d="{d}"/>')
@@ -64,17 +64,19 @@ def patches(uv: np.ndarray, values: np.ndarray, cell: float) -> tuple[np.ndarray
     return centre[enough], total[enough] / count[enough, None]
 
 
-def _cells(cells: Cells, placed: Placed, scale: float) -> list[str]:
-    top = float(np.nanmax(cells.values, initial=1e-300))
-    side = cells.size * scale
-    return [f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / top:.2f}" x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" '
-            f'width="{side:.1f}" height="{side:.1f}">{hover(f"{value:.4g} {cells.unit}")}</rect>'
-            for (x, y), value in zip(placed(cells.centre).tolist(), cells.values.tolist()) if value == value]
+def _cells(cells: Cells, placed: Placed, scale: float, below: float) -> list[str]:
+    """Squares, as much of them as lies within the frame, which ends so far below."""
+    greatest = float(np.nanmax(cells.values, initial=1e-300))
+    at, half = placed(cells.centre), cells.size * scale / 2
+    ends = np.clip(np.hstack([at - half, at + half]), [4, TOP, 4, TOP], [WIDTH - 4, below, WIDTH - 4, below])
+    return [f'<rect class="shade" fill-opacity="{0.08 + 0.72 * max(value, 0.0) / greatest:.2f}" x="{left:.1f}" y="{top:.1f}" '
+            f'width="{right - left:.1f}" height="{bottom - top:.1f}">{hover(f"{value:.4g} {cells.unit}")}</rect>'
+            for (left, top, right, bottom), value in zip(ends.tolist(), cells.values.tolist()) if value == value]
 
 
 def _arrows(arrows: Arrows, placed: Placed, scale: float) -> str:
     every = max(-(-len(arrows.at) // MOST), 1)
     at, by = placed(arrows.at[::every]), arrows.by[::every] * arrows.enlarged * scale
     d = "".join(f"M{x:.1f} {y:.1f}l{u:.1f} {v:.1f}" for (x, y), (u, v) in zip(at.tolist(), by.tolist()))
-    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{html.escape(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
+    return (f'<path class="arrows c{arrows.colour} valued" data-unit="{escaped(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
             f'd="{d}"/>')

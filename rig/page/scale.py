@@ -13,13 +13,14 @@ ROOM = 0.05  # of the range, on either side of the values
 
 @dataclass(frozen=True)
 class Scale:
-    """Values low .. high at places start .. end of a figure; log : by their logarithm."""
+    """Values low .. high at places start .. end of a figure; log : by their logarithm; whole : of whole numbers, as frames are."""
 
     low: float
     high: float
     start: float
     end: float
     log: bool = False
+    whole: bool = False
 
     def at(self, values: np.ndarray | float) -> np.ndarray:
         """Places of values, any shape."""
@@ -35,7 +36,7 @@ class Scale:
     def ticks(self) -> list[float]:
         """Values at which ticks stand."""
         if not self.log:
-            return ticks(self.low, self.high)
+            return [v for v in ticks(self.low, self.high) if v == round(v) or not self.whole]
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         wide = last - first > 2
         every = -(-(last - first) // 6)
@@ -47,8 +48,10 @@ class Scale:
         return f"{self.low:.6g} {self.high:.6g} {self.start:.1f} {self.end:.1f}" + (" log" if self.log else "")
 
 
-def around(values: np.ndarray, ends: tuple[float, float], log: bool = False, limits: tuple[float, float] | None = None) -> Scale:
-    """Scale that holds all finite values (n,), positive ones where it is logarithmic. ends : (2,) places; limits : in place of the values' own"""
+def around(values: np.ndarray, ends: tuple[float, float], log: bool = False, limits: tuple[float, float] | None = None,
+           whole: bool = False) -> Scale:
+    """Scale that holds all finite values (n,), positive ones where it is logarithmic. ends : (2,) places; limits : in place of the values' own
+    whole : whether they are whole numbers"""
     known = np.asarray(values, float).ravel()
     known = known[np.isfinite(known) & ((known > 0) | (not log))]
     if limits is not None:
@@ -62,4 +65,4 @@ def around(values: np.ndarray, ends: tuple[float, float], log: bool = False, lim
         else:
             room = ROOM * (high - low) or 0.5 * abs(high) or 1.0
             low, high = low - room, high + room
-    return Scale(low, high, *ends, log)
+    return Scale(low, high, *ends, log, whole)

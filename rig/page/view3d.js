@@ -82,7 +82,8 @@ export class Rig {
     if (part.name) {
       ink.fillStyle = style.getPropertyValue("--soft");
       ink.font = "12px system-ui, sans-serif";
-      ink.fillText(part.name, part.at[0][0] + 5, part.at[0][1] - 5);
+      const room = this.canvas.clientWidth - ink.measureText(part.name).width - 2;
+      ink.fillText(part.name, Math.min(part.at[0][0] + 5, room), Math.max(part.at[0][1] - 5, 12));
     }
   }
 }

@@ -41,6 +41,26 @@ def test_twenty_images_become_a_calibration(tmp_path):
     assert status == 0 and "20 of 20 frames solved" in text.splitlines()[0], text
     status, text = said("calibrate", tmp_path / "measured", "--out", tmp_path / "calibration.json")
     assert status == 0 and (tmp_path / "calibration.json").exists(), text
+    status, text = said("certify", tmp_path / "calibration.json", tmp_path / "rec", "--out", tmp_path / "certificate.html")
+    assert status == 1 and "20 of 20 frames" in text and "--mask" in text, text
+
+
+@pytest.mark.slow
+def test_twenty_images_become_a_certificate_in_four_commands(tmp_path):
+    theirs(tmp_path)
+    made = ("--rig", BENCH / "fit" / "rig.toml", "--commands", tmp_path / "log.csv", "--out", tmp_path / "rec")
+    assert said("import", tmp_path / "pictures", *made)[0] == 0
+    assert said("check", tmp_path / "rec")[0] == 0
+    held, kept = "1,4,7,10,13,16", "0,2-3,5-6,8-9,11-12,14-15,17-19"
+    status, text = said("calibrate", tmp_path / "rec", "--mask", held, "--out", tmp_path / "calibration.json")
+    assert status == 0 and "from 14 distinct configurations" in text, text
+    words = ("certify", tmp_path / "calibration.json", tmp_path / "rec", "--coverage", "0.6", "--confidence", "0.9", "--out",
+             tmp_path / "certificate.html")
+    status, text = said(*words, "--mask", kept)
+    assert status == 0 and "From 6 distinct configurations, none of which took part in fitting" in text, text
+    assert "With 90 % confidence, 60 % of poses" in (tmp_path / "certificate.html").read_text()
+    status, text = said(*words, "--mask", "0-12", "--force")
+    assert status == 1 and "5 of 7 frames" in text and "took part in fitting" in text, text
 
 
 def test_a_log_that_is_cut_off_names_its_last_line(tmp_path):

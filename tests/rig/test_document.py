@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from rig.page.document import Link, Page, State, Verdict, text
-from rig.page.figure import MOST, Series, bars, panel
-from rig.page.parts import table, words
+from rig.page.figure import MOST, RIGHT, Series, bars, panel
+from rig.page.letters import wide, wrapped
+from rig.page.parts import capital, table, words
 from rig.page.plane import Arrows, Cells, image_plane
 from rig.page.scale import around
-from rig.page.svg import ticks
+from rig.page.svg import text_within, ticks
 
 
 def test_a_page_says_its_verdict_first_and_needs_no_network():
@@ -26,6 +27,27 @@ def test_text_is_text_and_commands_are_marked():
     assert words("a <b> & `rig x <y>`") == "a &lt;b&gt; &amp; <code>rig x &lt;y&gt;</code>"
     made = table(("", "name"), [("<i>", 3)])
     assert "<i>" not in made and "<th scope" in made and made.count("<td></td>") == 1 and 'tabindex="0"' in made
+
+
+def test_columns_of_text_begin_at_their_left_and_lengths_are_in_micrometres():
+    made = table(("kind", "size, um", "note"), [("a", "not known", "x"), ("b", 3.5, "y"), ("c", "-2", "")])
+    assert made.count('<td class="text">') == 6 and made.count("<td>") == 3 and "size, µm" in made and " um" not in made
+    assert words("5 um and 3 urad, `--tolerance 5 um`") == "5 µm and 3 µrad, <code>--tolerance 5 um</code>" and words("sum um/m") == "sum µm/m"
+    assert capital("the rest") == "The rest" and capital("rx turns") == "Rx turns" and capital("3 of") == "3 of" and capital("cam0 is") == "cam0 is"
+
+
+def test_words_stay_within_their_figure():
+    label = "travel since the last reversal (negative: inward), mm"
+    lines = wrapped(label, 14, 340)
+    assert " ".join(lines) == label and len(lines) == 2 and all(wide(line, 14) <= 340 for line in lines)
+    drawn = panel("t", (label, "y"), [Series(np.arange(3.0), np.arange(3.0))])
+    assert all(f">{line}</text>" in drawn for line in lines) and wide(lines[0], 14) < RIGHT
+    assert "1234" in text_within((0, 0, 60, 20), "1234") and text_within((0, 0, 20, 20), "1234") == text_within((0, 0, 60, 9), "1234") == ""
+
+
+def test_whole_numbers_have_whole_ticks():
+    assert around(np.array([1.0]), (0, 1), whole=True).ticks == [1.0] and 1.2 in around(np.array([1.0]), (0, 1)).ticks
+    assert ">1.5</text>" not in panel("t", ("visit", "y"), [Series(np.array([1.0, 2.0]), np.array([0.1, 0.7]))])
 
 
 def places(svg):
@@ -76,4 +98,7 @@ def test_bars_and_cells_say_their_values():
     start, along = re.search(r'd="M([\d.]+) [\d.]+l([\d.]+) ', plane).groups()
     enlarged = float(re.search(r'data-enlarged="([\d.]+)"', plane)[1])
     assert "<title>0.25 px</title>" in plane and float(along) / enlarged == pytest.approx(0.1, abs=1e-3)
+    edge = image_plane("p", "below", (100, 50), (Cells(np.array([[0.0, 49.0]]), np.array([0.25]), 20.0, "px"),))
+    frame, cell = ([float(v) for v in re.findall(r' (?:x|y|width|height)="([-\d.]+)"', rect)] for rect in re.findall("<rect[^>]*>", edge))
+    assert cell[0] >= frame[0] and cell[1] + cell[3] <= frame[1] + frame[3] + 0.1, "a cell at the edge is cut off there"
     assert float(start) == pytest.approx(4 + 50.5 * 392 / 100, abs=0.06)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, SuggestionEntry, Value
+from rig.rounded import apart, rounded
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
@@ -14,11 +15,17 @@ CONVINCING = 10  # of the information criterion
 SELDOM = 1e-3  # chance of a finding where there is nothing, from which it is one
 
 
-def number(value: float, unit: str, with_unit: bool = True) -> str:
-    """A value in the unit that people read it in."""
+def number(value: float, unit: str, with_unit: bool = True, digits: int = 3) -> str:
+    """A value in the unit that people read it in, to so many digits."""
     scale, name = SCALES.get(unit, (1, unit))
-    text = "unlimited" if not np.isfinite(value) else f"{value:.1f}" if unit == "s" and abs(value) >= LONG_TIME else f"{value * scale:.3g}"
+    text = "unlimited" if not np.isfinite(value) else f"{value:.1f}" if unit == "s" and abs(value) >= LONG_TIME else rounded(value * scale, digits)
     return f"{text} {name}".strip() if with_unit else text
+
+
+def interval(low: float, high: float, unit: str, with_unit: bool = True) -> str:
+    """"39.1 to 41.2 µm", to as many digits as tell its ends apart."""
+    digits = apart(low, high)
+    return f"{number(low, unit, False, digits)} to {number(high, unit, with_unit, digits)}"
 
 
 def title(finding: FindingEntry | RemarkEntry) -> str:
@@ -30,9 +37,9 @@ def size(finding: FindingEntry | RemarkEntry) -> str:
     """The first parameter in words; of a vector its length, of a profile its root mean square; empty where there is none."""
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
-            low, high = (number(v, p.unit, False) for v in p.ci95)
             at = "; at the bound of what makes sense" if p.at_bound is not None else ""
-            return f", {name.replace('_', ' ')} {number(p.value, p.unit)} (95 %: {low} to {high}{at})"
+            low, high = p.ci95
+            return f", {name.replace('_', ' ')} {number(p.value, p.unit, digits=apart(low, high))} (95 %: {interval(low, high, p.unit, False)}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
             thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
             return ", by " + " and ".join(number(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
@@ -140,7 +147,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
     for name, p in finding.parameters.items():
         name = name.replace("_", " ")
         if isinstance(p.value, (int, float)):
-            rows.append((name, number(p.value, p.unit), _interval(p)))
+            rows.append((name, number(p.value, p.unit, digits=apart(*p.ci95) if p.ci95 else 3), _interval(p)))
             continue
         shown = [i for i, v in enumerate(p.value) if v][: 2 * LONG] if len(p.value) > LONG else range(len(p.value))
         units = p.unit.split(", ") if ", " in p.unit else [p.unit]
@@ -149,15 +156,14 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
             if isinstance(p.value[i], str):
                 rows.append((f"{name} {i + 1}", p.value[i], ""))
                 continue
-            interval = f"{number(p.ci95[0][i], own, False)} to {number(p.ci95[1][i], own)}" if p.ci95 else ""
-            rows.append((f"{name} {i + 1}", number(p.value[i], own), interval))
+            rows.append((f"{name} {i + 1}", number(p.value[i], own), interval(p.ci95[0][i], p.ci95[1][i], own) if p.ci95 else ""))
     return rows
 
 
 def _interval(p: Value) -> str:
     if p.ci95 is None:
         return ""
-    text = f"{number(p.ci95[0], p.unit, False)} to {number(p.ci95[1], p.unit)}"
+    text = interval(p.ci95[0], p.ci95[1], p.unit)
     return f"{text}; stands at its bound" if p.at_bound is not None else text
 
 

@@ -115,12 +115,14 @@ def test_every_column_of_cells_is_drawn_and_written(calibrated):
     rows = list(workspace_rows(w))
     assert len(rows) == len(w.index) and all(len(row.split(",")) == len(COLUMNS) for row in rows)
     for q in (drawing.LOST, drawing.GAINED, drawing.POSITION, drawing.ROTATION, drawing.SINGULAR, drawing.room("m")):
-        seen = drawing.views(w, q)
+        unit, seen = drawing.views(w, q)
         assert seen.count("<rect") == len(np.unique(w.index[:, :2], axis=0)) + len(np.unique(w.index[:, [0, 2]], axis=0))
         assert "nan" not in seen and "inf" not in seen
     column = (w.index[:, :2] == w.index[np.argmax(w.lost_in), :2]).all(axis=1)
     share = w.lost_in[column].sum() / w.believed[column].sum()
-    assert f">{share * 100:.1f}</text>" in drawing.views(w, drawing.LOST) or f">{share * 100:.0f}</text>" in drawing.views(w, drawing.LOST)
+    assert f">{share * 100:.1f}</text>" in drawing.views(w, drawing.LOST)[1] or f">{share * 100:.0f}</text>" in drawing.views(w, drawing.LOST)[1]
+    coarse = replace(w, bound=w.bound * 1e3)
+    assert drawing.views(w, drawing.POSITION)[0] == "um" and drawing.views(coarse, drawing.POSITION)[0] == "mm", "three digits fit into a cell"
 
 
 def test_poses_are_counted_where_the_platform_stands(calibrated, design):
