@@ -57,6 +57,7 @@ COMMANDS = {
     "print": "The cubes of a rig.toml as nets to print, true to scale.",
     "check-print": "A photograph of a printed sheet -> the side that its markers really have.",
     "effects": "The left-out physics that is known: where it sits, its parameters, what exposes it, what to do.",
+    "catalogue": "The left-out physics that is known, as a document: model, parameters, experiment and remedy of each.",
     "doctor": "What this computer has of what rig needs: packages, OpenGL, cameras, ports, space, threads.",
     "completion": "What makes bash, zsh or fish complete rig's commands and options.",
 }

@@ -76,8 +76,8 @@ def _target(axes: Axes, target: Target, shape: np.ndarray) -> None:
             axes.annotate("+x", middle + 0.5 * edge * along, middle + (0.5 * edge + 9) * along, color="tab:red", fontsize=7, ha="center", va="center",
                           arrowprops={"arrowstyle": "<-", "color": "tab:red", "lw": 0.8})
         up = int(np.abs(turn[2]).argmax())
-        text += f"\n{'+' if turn[2, up] > 0 else '-'}{'xyz'[up]} up, z = {target.pose.translation[2] * 1e3:.0f} mm"
-    axes.text(middle[0], middle[1], text, fontsize=6.5, ha="center", va="center")
+        text += f"\n{'+' if turn[2, up] > 0 else '-'}{'xyz'[up]} up\nz = {target.pose.translation[2] * 1e3:.0f} mm"
+    axes.text(middle[0], middle[1], text, fontsize=6.5, ha="center", va="center", bbox={"boxstyle": "square,pad=0", "fc": "white", "ec": "none"})
 
 
 def outline(target: Target) -> np.ndarray:

@@ -86,6 +86,14 @@ def test_the_catalogue_is_a_table_of_all_effects(capsys, monkeypatch):
     assert {p["unit"] for one in told if one["name"] == "backlash" for p in one["parameters"]} == {"m"}
 
 
+def test_the_catalogue_is_a_document_of_all_effects(capfd, tmp_path):
+    assert main(["catalogue"]) == 0
+    text = capfd.readouterr().out
+    assert all(f"\n### {effect.name}\n" in text for effect in ALL) and "axiss" not in text and "{" not in text
+    assert main(["catalogue", "--out", str(tmp_path / "effects.md")]) == 0 and (tmp_path / "effects.md").read_text() == text
+    assert main(["catalogue", "--effects", str(tmp_path / "typo.py")]) == 1 and "typo.py" in capfd.readouterr().err
+
+
 def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
     assert main(["effects", "backlash"]) == 0
     text = capsys.readouterr().out

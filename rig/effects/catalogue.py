@@ -1,4 +1,4 @@
-"""The catalogue as a page, made from the effects themselves: `python -m rig.effects.catalogue > docs/effects.md`."""
+"""The catalogue as a page, made from the effects themselves, as `rig catalogue` writes it."""
 
 from collections.abc import Iterable
 
@@ -12,7 +12,7 @@ STAGES = {"command": "what the axes are told, and when", "struts": "what the axe
           "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
 HEAD = """# The catalogue of left-out physics
 
-This page is made from the effects themselves (`python -m rig.effects.catalogue`). An effect is one file in `rig/effects`: its model, its
+This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
 parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and what to do about it.
 A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..`, the numbers of a vector parted by slashes. An axis is a strut (m)
 or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
@@ -37,7 +37,7 @@ def entry(effect: type[Effect]) -> str:
     return (f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
             f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
             "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-            f"Shown by: {effect.experiment.format(axis='axis')}.\n\nWhat to do: {effect.action.format(axis='axis')}\n")
+            f"Shown by: {_said(effect.experiment)}.\n\nWhat to do: {_said(effect.action)}\n")
 
 
 def row(p: Parameter, effect: type[Effect]) -> str:
@@ -57,9 +57,10 @@ def _place(kind: str) -> str:
     return {"axis": "`strut N` or `joint N`", "camera": "`camera NAME`", "marker": "`marker ID`", "target": "`target NAME`"}.get(kind, f"`{kind}`")
 
 
+def _said(text: str) -> str:
+    """What an effect says of an axis of any kind."""
+    return text.replace("{axis}s", "axes").format(axis="axis")
+
+
 def _prose(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    print(page(), end="")

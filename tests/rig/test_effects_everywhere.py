@@ -158,7 +158,7 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
 
 
 def test_the_page_of_the_catalogue_is_current():
-    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == page(), "python -m rig.effects.catalogue > docs/effects.md"
+    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == page(), "rig catalogue > docs/effects.md"
 
 
 def test_a_shaking_has_one_notation(design):
