@@ -4,7 +4,7 @@ A plan is written as parts joined by commas, each NAME or NAME:COUNT: sobol:100,
 low-discrepancy configurations, then a ladder of reversals, then exposes sixty times while moving.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,9 +44,9 @@ def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.nda
     return writer.plan()
 
 
-def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> Plan:
+def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None) -> Plan:
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
-    configuration at which the struts settle is reached from shorter struts.
+    configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits}, besides these
 
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES
@@ -64,6 +64,10 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False) -> 
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
+        if own and part.strip() in own:
+            for goal in own[part.strip()]:
+                writer.settle(goal)
+            continue
         if name not in PARTS:
             raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")
         if name not in TEXTS and count and not (count.isascii() and count.isdigit() and count.strip("0")):

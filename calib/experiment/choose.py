@@ -1,11 +1,13 @@
 """Questions and what an owner allows -> the plan that answers them best per minute, and the chance that it does."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from calib.diagnose.problems.platform.temperatures import WARM
+from calib.experiment.apart import NAME, apart
 from calib.experiment.foretold import foretold
 from calib.experiment.hypotheses import Question
 from calib.experiment.record import SETTING_UP
@@ -14,18 +16,20 @@ from rig.design import Design
 from rig.errors import RigError
 from rig.plan import Plan, build
 
-PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30")  # at whose exposures the struts stand
+PARTS = ("sobol:12", "ladder:1", "axes:3", "repeat:12", "sobol:30", "sobol:90")  # at whose exposures the struts stand
+CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart, see `apart`
 MOVING = ("moving:16", "zigzag:16", "zigzag:40")
 WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
 LOADED = ("payload:6", "payload:14")  # where a payload is allowed
 PAIRED = 3  # of the best that are tried two by two
-ENOUGH = 0.8  # of the best chance to settle: among those with so much, the one that takes least counts
+DAYS = (-1.0, 0.0, 1.0)  # K by which the room may be warmer than it was: nobody heats or cools it for an experiment
+HOPELESS = 0.02  # chance to settle; of plans with less than this counts what they tell per minute
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Experiment:
-    """text : of the plan, as rig simulate --plan takes it; seed : of it; plan; minutes : it takes; bits : expected over all questions
-    settles : chance that all of them are settled; asks : what an operator has to do besides, in words"""
+    """text : of the plan, in which apart:N stands for configurations chosen for these questions; seed : of it; plan; minutes : it takes
+    bits : expected over all questions; settles : chance that all of them are settled; asks : what an operator has to do besides, in words"""
 
     text: str
     seed: int
@@ -43,7 +47,7 @@ class Experiment:
 
 def kinds(may: Sequence[str], standing: bool) -> list[str]:
     """Plans' texts to choose from. may : what an owner allows ("payload", "wait"); standing : whether the struts must stand to be exposed"""
-    out = [*PARTS, *(() if standing else MOVING)]
+    out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
     if "wait" in may:
         out += WAITING[1:] if standing else WAITING
     return out + [text for text in LOADED if "payload" in may and not standing]
@@ -57,12 +61,17 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
     """
     out: list[Experiment] = []
     refused: dict[str, str] = {}
+    own: dict[str, np.ndarray] = {}
+    try:
+        own = configurations(asked, design, texts, seed)
+    except RigError as error:
+        refused = {text: str(error) for text in texts if text.startswith(NAME)}
 
     def tried(text: str) -> None:
         if progress:
             progress(len(out) + len(refused), len(texts) + PAIRED)
         try:
-            found = evaluate(asked, design, text, seed)
+            found = evaluate(asked, design, text, seed, own)
         except RigError as error:
             refused[text] = str(error)
             return
@@ -72,7 +81,8 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
             out.append(found)
 
     for text in texts:
-        tried(text)
+        if text not in refused:
+            tried(text)
     leading = sorted(out, key=lambda e: -e.rate)[:PAIRED]
     for a, b in combinations(leading, 2):
         tried(f"{a.text},{b.text}")
@@ -80,14 +90,23 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
 
 
 def ranked(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The best first: those of nearly the greatest chance to settle by what they tell per minute, then the others likewise."""
-    best = max((e.settles for e in experiments), default=0.0)
-    return sorted(experiments, key=lambda e: (e.settles < ENOUGH * best, -e.rate))
+    """The best first: those that settle all in the least time, made as often as that is expected to take, then by what they tell per minute."""
+    return sorted(experiments, key=lambda e: (e.minutes / e.settles if e.settles >= HOPELESS else np.inf, -e.rate))
 
 
-def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int) -> Experiment:
-    """Experiment of one plan. Raises RigError for one that the rig cannot follow."""
-    plan = build(design, text, seed)
+def configurations(asked: Sequence[Question], design: Design, texts: Sequence[str], seed: int) -> dict[str, np.ndarray]:
+    """{apart:N: configurations (N, axes)} of those plans' texts that ask for them, the first of one choice. Raises RigError where the rig cannot
+    visit what is to be chosen from, and where no question has two names to come apart"""
+    counts = sorted(int(text.partition(":")[2]) for text in texts if text.startswith(f"{NAME}:"))
+    if not counts:
+        return {}
+    found = apart(asked, design, counts[-1], seed)
+    return {f"{NAME}:{count}": found[:count] for count in counts}
+
+
+def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
+    """Experiment of one plan. own : {apart:N: (N, axes)} of `configurations`. Raises RigError for one that the rig cannot follow."""
+    plan = build(design, text, seed, own=own)
     found = [_worth(question, plan) for question in asked]
     minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
@@ -97,4 +116,8 @@ def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int) ->
 
 
 def _worth(question: Question, plan: Plan) -> Worth:
-    return worth(np.array([h.odds for h in question.hypotheses]), foretold(question, plan))
+    """Worth of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
+    odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
+    follows = any(type(h.fitted.point.effects[h.number]) in WARM for h in question.named)
+    found = [worth(odds, foretold(question, plan, warmer), behind) for warmer in (DAYS if follows else (0.0,))]
+    return Worth(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

@@ -33,6 +33,7 @@ from vision.predict import State, facing, inside, see
 from vision.targets import marker_map
 
 SEED = 0  # of the noise by which a recording that is not there yet is weighed
+TEMPERATURE = "_temperature_C"  # how channels of temperatures end
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
 
@@ -46,26 +47,39 @@ class Foretold:
     cosines: np.ndarray
 
 
-def foretold(question: Question, plan: Plan) -> Foretold:
-    """Foretold of a question's hypotheses under a plan. Raises RigError where the rig as found cannot follow it, or no camera sees some of it"""
-    named = question.named
-    fits = [h.fitted for h in named]
-    point = _latest(fits[0].point)
-    sensors = _course(point, plan)
-    runs = [_poses(fit, point.design, plan, sensors) for fit in fits]
-    here = _there(point, fits[0], plan, sensors, runs[0])
-    model = linearise(here)
-    sensitivities = Sensitivities(here)
-    columns: list[Column] = []
-    moved: list[Column] = []
-    shapes: list[Column] = []
-    for h, fit, T in zip(named, fits, runs):
-        at = replace(model, point=here.with_effects(fit.point.effects))
-        columns.append(tangents(at, sensitivities)[1] or _none(model))
-        moved.append(_between(model, here, replace(here, T=T, design=_as_found(fit, here.design)).with_effects(fit.point.effects)))
-        shapes.append(change(at, _without(fit.point.effects, h.number)))
-    counts = [c.count for c in columns]
-    everything = joined([Column(c.parts) for c in (*columns, *moved, *shapes)])
+@dataclass(frozen=True, slots=True, eq=False)
+class PerFrame:
+    """What each of a plan's F exposures tells between two hypotheses, in units of noise. of (F,) : squares of what they do otherwise
+    onto (F, p) : that on what both leave open; open (F, p, p) : squares of what is left open, which is p numbers of variance 1 beforehand
+    by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument measures"""
+
+    of: np.ndarray
+    onto: np.ndarray
+    open: np.ndarray
+    by_camera: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A plan's recording under each hypothesis. model : LinearisedModel under the first; other : OperatingPoint under the last
+    columns : [Column] of each one's own numbers; moved : [Column (1)] of what is seen otherwise than under the first; shapes : of what each does"""
+
+    fits: list[Refined]
+    model: LinearisedModel
+    other: OperatingPoint
+    columns: list[Column]
+    moved: list[Column]
+    shapes: list[Column]
+
+
+def foretold(question: Question, plan: Plan, warmer: float = 0.0) -> Foretold:
+    """Foretold of a question's hypotheses under a plan. warmer : K, than it was in the first recording
+    Raises RigError where the rig as found cannot follow it, or no camera sees some of it
+    """
+    named, seen = question.named, _seen(question, plan, warmer)
+    fits, model = seen.fits, seen.model
+    counts = [c.count for c in seen.columns]
+    everything = joined([Column(c.parts) for c in (*seen.columns, *seen.moved, *seen.shapes)])
     found = model.linear.project(everything)
     values, vectors = np.linalg.eigh(found.gram)
     kept = values > WEAK * values[-1]
@@ -79,6 +93,60 @@ def foretold(question: Question, plan: Plan) -> Foretold:
         covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
     cosines = _cosines(named, fits, model, parts[-1], nuisances)
     return _with_foreign(question, means, np.array(covariances), cosines, parts[-1])
+
+
+def per_frame(question: Question, plan: Plan) -> PerFrame:
+    """PerFrame of a question's two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
+    likeliest = sorted(question.named, key=lambda h: -h.odds)[:2]
+    if len(likeliest) < 2:
+        raise ValueError("a question of one name has nothing to tell apart")
+    seen = _seen(replace(question, hypotheses=tuple(likeliest)), plan)
+    model, F = seen.model, len(plan.t)
+    P = np.linalg.pinv(model.nuisances.solve)
+    values, vectors = np.linalg.eigh(_known(seen.fits[0], model))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    difference, own = seen.moved[1], seen.columns[0]
+    of, onto, left = np.zeros(F), np.zeros((F, len(root))), np.zeros((F, len(root), len(root)))
+    for n, block in enumerate(model.linear.blocks):
+        d, basis, tangent = (c.parts[n] for c in (difference, model.linear.columns, own))
+        if d is None or not len(d):
+            continue
+        table = np.concatenate([np.asarray(basis) @ P, np.zeros((len(d), own.count)) if tangent is None else tangent], axis=1) @ root
+        for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
+            of[f] += d[a:b, 0] @ d[a:b, 0]
+            onto[f] += table[a:b].T @ d[a:b, 0]
+            left[f] += table[a:b].T @ table[a:b]
+    return PerFrame(of, onto, left, _by_camera(model, seen.other) if model.point.seen is not None else {})
+
+
+def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.ndarray]:
+    """{camera: (F,)} squares of what images show otherwise at another OperatingPoint, in units of noise."""
+    o, order = model.point.observed.observations, model.corners.order
+    d = np.einsum("nij,nj->ni", model.corners.whiten, (other.pixels() - model.point.pixels())[order]) / model.corners.sigma
+    squares, frame, camera = (d**2).sum(axis=1), o.frame[order], o.camera[order]
+    return {model.point.design.cameras[i].name: np.bincount(frame[camera == i], squares[camera == i], model.frames) for i in np.unique(camera)}
+
+
+def _seen(question: Question, plan: Plan, warmer: float = 0.0) -> _Seen:
+    named = question.named
+    fits = [h.fitted for h in named]
+    point = _latest(fits[0].point)
+    sensors = _course(point, plan, warmer)
+    runs = [_poses(fit, point.design, plan, sensors) for fit in fits]
+    here = _there(point, fits[0], plan, sensors, runs[0])
+    model = linearise(here)
+    sensitivities = Sensitivities(here)
+    columns: list[Column] = []
+    moved: list[Column] = []
+    shapes: list[Column] = []
+    other = here
+    for h, fit, T in zip(named, fits, runs):
+        at = replace(model, point=here.with_effects(fit.point.effects))
+        columns.append(tangents(at, sensitivities)[1] or _none(model))
+        other = replace(here, T=T, design=_as_found(fit, here.design)).with_effects(fit.point.effects)
+        moved.append(_between(model, here, other))
+        shapes.append(change(at, _without(fit.point.effects, h.number)))
+    return _Seen(fits, model, other, columns, moved, shapes)
 
 
 def _with_foreign(question: Question, means: np.ndarray, covariances: np.ndarray, cosines: np.ndarray, shapes: np.ndarray) -> Foretold:
@@ -100,14 +168,14 @@ def _latest(point: OperatingPoint) -> OperatingPoint:
     return replace(point, design=replace(point.design, cameras=tuple(last.values())))
 
 
-def _course(point: OperatingPoint, plan: Plan) -> Sensors | None:
-    """The log of a recording that is not there yet: temperatures run as in the first one, the payload as the plan has it."""
+def _course(point: OperatingPoint, plan: Plan, warmer: float) -> Sensors | None:
+    """The log of a recording that is not there yet: temperatures run as in the first one, so many K warmer, the payload as the plan has it."""
     log = point.sensors
     if log is None:
         return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
-    first = Sensors(log.t[:end], {name: values[:end] for name, values in log.channels.items() if name != PAYLOAD})
-    return logged(plan, first)
+    first = {name: values[:end] + warmer * name.endswith(TEMPERATURE) for name, values in log.channels.items() if name != PAYLOAD}
+    return logged(plan, Sensors(log.t[:end], first))
 
 
 def _as_found(fit: Refined, design: Design) -> Design:

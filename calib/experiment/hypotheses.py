@@ -21,13 +21,15 @@ FOREIGN = 0.05  # of all odds, for what is in no catalogue
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """One explanation of a finding. name, place; odds : share of all, 0..1; refined : Refined with it in the finding's place, or None where it
-    cannot be fitted (a temperature that nobody logs); number : of it among the effects of `refined`"""
+    cannot be fitted (a temperature that nobody logs); number : of it among the effects of `refined`
+    by_data : how much less likely than the finding the data so far make it, as minus twice a logarithm, whatever either costs in simplicity"""
 
     name: str
     place: str
     odds: float
     refined: Refined | None
     number: int
+    by_data: float = 0.0
 
     @property
     def title(self) -> str:
@@ -69,7 +71,7 @@ def questions(diagnosis: PlatformDiagnosis) -> list[Question]:
     out = []
     for finding in open_ones:
         own = fit.terms[finding.number]
-        found: list[tuple[str, str, float, Refined | None, int]] = [(own.name, own.place, 0.0, fit.refined, finding.number)]
+        found: list[tuple[str, str, float, Refined | None, int, float]] = [(own.name, own.place, 0.0, fit.refined, finding.number, 0.0)]
         bare, unasked = problem.remove_term(fit, finding.number), []
         for a in (a for a in finding.alternatives if not told_apart(finding, a, size)):
             candidate = a.score.candidate
@@ -78,18 +80,24 @@ def questions(diagnosis: PlatformDiagnosis) -> list[Question]:
             except RigError as error:
                 unasked.append(f"{candidate.name.replace('_', ' ')} at {candidate.place}: {error}")
                 continue
-            found.append((candidate.name, candidate.place, a.behind, refined, len(bare.terms)))
-        weights = np.exp(-np.array([behind for _, _, behind, _, _ in found]) / 2)
+            found.append((candidate.name, candidate.place, a.behind, refined, len(bare.terms), by_data(finding, a, size)))
+        weights = np.exp(-np.array([behind for _, _, behind, *_ in found]) / 2)
         shares = (1 - FOREIGN) * weights / weights.sum()
-        hypotheses = [Hypothesis(name, place, float(share), refined, number) for (name, place, _, refined, number), share in zip(found, shares)]
+        hypotheses = [Hypothesis(name, place, float(share), refined, number, data)
+                      for (name, place, _, refined, number, data), share in zip(found, shares)]
         out.append(Question((*hypotheses, Hypothesis(UNKNOWN, own.place, FOREIGN, fit.refined, finding.number)), tuple(unasked)))
     return out
 
 
 def told_apart(finding: Finding, alternative: Alternative, size: int) -> bool:
     """Whether an alternative is out of the question: too unlikely, and where it does nearly the same, by the data alone, not by what it costs."""
-    by_data = alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size)
-    return alternative.behind >= PLATFORM.alike and (abs(alternative.cosine) <= PLATFORM.cosine or by_data >= PLATFORM.alike)
+    same = abs(alternative.cosine) > PLATFORM.cosine
+    return alternative.behind >= PLATFORM.alike and (not same or by_data(finding, alternative, size) >= PLATFORM.alike)
+
+
+def by_data(finding: Finding, alternative: Alternative, size: int) -> float:
+    """How much less likely the data make an alternative than its finding, as minus twice a logarithm, whatever either costs in simplicity."""
+    return float(alternative.behind - alternative.score.complexity(size) + finding.score.complexity(size))
 
 
 def beforehand(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:

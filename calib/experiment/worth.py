@@ -21,11 +21,12 @@ class Worth:
     right: float
 
 
-def worth(odds: np.ndarray, expected: Foretold) -> Worth:
+def worth(odds: np.ndarray, expected: Foretold, behind: np.ndarray) -> Worth:
     """Worth of an experiment whose outcome is drawn many times: from each hypothesis as often as its odds (h,) say.
 
+    behind : (h,) how much less likely the data so far make each, as minus twice a logarithm
     One is left alone where all others are less likely by the odds from which a diagnosis tells apart; those that do nearly the same, by what the
-    experiment itself says
+    data so far and the experiment say
     """
     rng, h = np.random.default_rng(SEED), len(odds)
     roots = [np.linalg.cholesky(C) for C in expected.covariances]
@@ -40,7 +41,8 @@ def worth(odds: np.ndarray, expected: Foretold) -> Worth:
     posterior = likelihood + np.log(odds)
     posterior -= posterior.max(axis=1, keepdims=True)
     best, w, rows = posterior.argmax(axis=1), np.array(weight), np.arange(len(truth))
-    by_data = likelihood - likelihood[rows, best][:, None] < -PLATFORM.alike / 2
+    of_all = likelihood - behind / 2
+    by_data = of_all - of_all[rows, best][:, None] < -PLATFORM.alike / 2
     apart = (posterior < -PLATFORM.alike / 2) & ((np.abs(expected.cosines[best]) <= PLATFORM.cosine) | by_data)
     apart[rows, best] = True
     alone = apart.all(axis=1)

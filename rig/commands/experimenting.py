@@ -47,36 +47,39 @@ def refuse(arguments: Namespace) -> None:
 
 def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, out: Path, progress: Progress) -> None:
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
+    from calib.experiment.apart import cameras
     from calib.experiment.choose import choose, kinds
     from calib.experiment.hypotheses import questions
     from rig import plan
 
     asked = questions(found)
     experiments: list[Experiment] = []
+    seen: dict[str, float] = {}
     if asked:
         seed = SEED + max(len(found.parts), 1)
         experiments, refused = choose(asked, design, kinds(arguments.may or design.experiment.may, arguments.standing), seed, arguments.minutes,
                                       lambda done, of: progress("foretelling experiments", done, of))
         progress.close()
         experiments = [e for e in experiments if e.bits >= TELLING]
+        seen = cameras(asked, experiments[0].plan) if experiments else {}
         print("\n".join(odds_lines(asked)))
-        print("\n".join(lines(experiments) if experiments else ["no plan that is allowed tells these apart",
+        print("\n".join(lines(experiments, seen) if experiments else ["no plan that is allowed tells these apart",
                                                                 *(f"  {text}: {why}" for text, why in refused.items())]))
     else:
         print("nothing is alike that an experiment could tell apart")
-    (out / "next.json").write_text(json.dumps(_tree(asked, experiments), indent=1) + "\n", encoding="utf-8")
+    (out / "next.json").write_text(json.dumps(_tree(asked, experiments, seen), indent=1) + "\n", encoding="utf-8")
     if experiments:
         plan.write(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
         print(f"written: {arguments.next}")
 
 
-def _tree(asked: Sequence[Question], experiments: Sequence[Experiment]) -> dict[str, object]:
-    """What next.json holds."""
+def _tree(asked: Sequence[Question], experiments: Sequence[Experiment], seen: dict[str, float]) -> dict[str, object]:
+    """What next.json holds. seen : {camera: share of what the first experiment shows in images}"""
     return {"schema": "next/1",
             "questions": [{"finding": question.named[0].title, "unasked": list(question.unasked),
                            "hypotheses": [{"title": h.title, "odds": h.odds} for h in question.hypotheses]} for question in asked],
             "experiments": [{"plan": e.text, "seed": e.seed, "exposures": len(e.plan.t), "minutes": e.minutes, "bits": e.bits,
-                             "settles": e.settles, "asks": list(e.asks)} for e in experiments]}
+                             "settles": e.settles, "asks": list(e.asks)} for e in experiments], "cameras": seen}
 
 
 def odds_lines(asked: Sequence[Question]) -> list[str]:
@@ -85,10 +88,11 @@ def odds_lines(asked: Sequence[Question]) -> list[str]:
     return out + [f"cannot be foretold: {text}" for question in asked for text in question.unasked]
 
 
-def lines(experiments: Sequence[Experiment]) -> list[str]:
-    """The best plan, its chance, what it asks of an operator, and the plans that it was preferred to."""
+def lines(experiments: Sequence[Experiment], seen: dict[str, float]) -> list[str]:
+    """The best plan, its chance, what it asks of an operator, and the plans that it was preferred to. seen : {camera: share of what it shows}"""
     best = experiments[0]
     out = [f"next: {best.text} (seed {best.seed}), {len(best.plan.t)} exposures, {best.minutes:.1f} min; it settles this with a chance of "
            f"{best.settles:.0%} and tells {best.bits:.2f} bits"]
     out += [f"  operator, {text}" for text in best.asks]
+    out += ["  seen by " + ", ".join(f"{name} {share:.0%}" for name, share in seen.items())] if seen else []
     return out + [f"  rather than {e.text}: {e.settles:.0%}, {e.bits:.2f} bits in {e.minutes:.1f} min" for e in experiments[1:SHOWN]]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from calib.experiment.record import Look
 
 FIRST = "moving:24,sobol:60"  # the first plan of a rig that may be exposed on the way
+LOADED = "payload:6"  # besides, where a load may be asked for: at constant load most of a sag hides in the joint geometry
 STANDING = "sobol:60,ladder:1,repeat:12"  # of one whose struts must stand
 MOST = 8  # looks
 STATE = "investigation.json"
@@ -40,7 +41,8 @@ def arguments(parser: ArgumentParser) -> None:
     who = parser.add_mutually_exclusive_group()
     who.add_argument("--machine", metavar="TRUTH", type=Path, help="a simulated machine, as rig simulate --machine takes it, instead of [controller]")
     who.add_argument("--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for")
-    parser.add_argument("--plan", help=f"the first one (default {FIRST}; where the struts must stand {STANDING})")
+    parser.add_argument("--plan", help=f"the first one (default {FIRST}, and {LOADED} where rig.toml allows a payload; where the "
+                        f"struts must stand {STANDING})")
     parser.add_argument("--seed", type=int, default=SEED, help="of plans, and of a simulated machine's noise")
     parser.add_argument("--verify", metavar="N", type=int, default=60, help="new poses by which the calibration is verified (default 60, which a "
                         "certificate takes)")
@@ -99,7 +101,7 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise RigError(f"{out} is there already" + ("; --resume goes on with it" if (out / STATE).exists() else "; name a new folder"))
-    plan = build(rig.design, arguments.plan or (FIRST if rig.moving else STANDING), arguments.seed)
+    plan = build(rig.design, arguments.plan or _first(rig), arguments.seed)
     rig.refuse(plan)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -108,6 +110,13 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
     write_bytes(out / "rig.toml", arguments.design.read_bytes())
     write(plan_of(out, 1), plan, rig.design.mechanism.axes)
     write_text(out / STATE, json.dumps(own, indent=1) + "\n")
+
+
+def _first(rig: Rig) -> str:
+    """The text of the first plan, where nobody states one."""
+    if not rig.moving:
+        return STANDING
+    return f"{FIRST},{LOADED}" if "payload" in rig.design.experiment.may else FIRST
 
 
 def _look(arguments: Namespace, rig: Rig, number: int, so_far: list[Look]) -> None:

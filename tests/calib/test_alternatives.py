@@ -10,9 +10,12 @@ from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.refine import refine
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.platform import report
+from rig import design_file
 from rig.effects import BY_NAME
 from rig.effects.candidate import Candidate, Linear
+from rig.layout import layout
 from synthetic import out_of_catalogue
+from tests.bench.investigate import POSES, Case
 from tests.calib.recorded import recorded
 
 PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
@@ -98,3 +101,19 @@ def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alik
     found = diagnose(rec, only=[alike, name])
     sets = [[(a.score.candidate.name, a.score.candidate.place) for a in f.alternatives] for f in found.selection.findings]
     assert found.effects[0].name == alike and (name, place.replace("strut", "strut ")) in sets[0]
+
+
+SLOWLY = "sobol:20,wait:15,sobol:20"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "text"), [
+    (101, "warm_up:strut 2:amplitude=2.26e-5,time_constant=785.7"),  # which convinces by its fit alone: so may what is held against it
+    (103, "warm_up:strut 1:amplitude=2.723e-05,time_constant=1316"),  # of which a smooth course explains more than a growth, and not than this
+])
+def test_a_warm_up_of_micrometres_is_never_a_thermal_expansion_beyond_doubt(tmp_path, seed, text):
+    (tmp_path / "rig.toml").write_text(rig_text := layout(0.3) + POSES)
+    case = Case(tmp_path / "rig", design_file.load(tmp_path / "rig.toml"), rig_text, text, seed)
+    (finding,) = case.first(SLOWLY)[1].selection.findings
+    named = [finding.score.candidate, *(a.score.candidate for a in finding.alternatives)]
+    assert ("warm_up", text.split(":")[1]) in [(c.name, c.place) for c in named]

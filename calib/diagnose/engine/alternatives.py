@@ -7,7 +7,7 @@ from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.linear import cosine
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.engine.problem import Fit, Model, Problem
-from calib.diagnose.engine.score import Alternative, Score
+from calib.diagnose.engine.score import Alternative, Score, sharpened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +52,10 @@ def alternatives_of(problem: Problem[Fit, Model, C], model: Model, own: Score[C]
     return sorted(out, key=lambda a: a.behind)
 
 
-def refitted(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]]) -> list[Refit[Fit, C]]:
+def refitted(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[C], found: list[Alternative[C]],
+             hidden: bool = False) -> list[Refit[Fit, C]]:
     """[Refit] of the first few that a scan does not tell from a finding: a scan takes for scatter what is not admitted
-    yet, and so tells of a strong term far less than it could."""
+    yet, and so tells of a strong term far less than it could. hidden : whether the finding convinces by its fit alone, as they then may"""
     close = [a for a in found if alike(a, problem.policy)][: problem.policy.refitted]
     if not close:
         return []
@@ -62,5 +63,6 @@ def refitted(problem: Problem[Fit, Model, C], fit: Fit, number: int, own: Score[
     for a in close:
         new = problem.add_term(bare, a.score)
         behind = problem.likelihood_ratio(new, fit) + a.score.complexity(size) - own.complexity(size)
-        out.append(Refit(a, replace(a, behind=behind), new))
+        score = sharpened(a.score, problem.likelihood_ratio(bare, new), problem.linear(problem.residual(bare)).frames) if hidden else a.score
+        out.append(Refit(a, replace(a, score=score, behind=behind), new))
     return out

@@ -19,7 +19,7 @@ class SelectionPolicy:
     cosine : between sensitivities, nuisances taken out, from which two hypotheses are the same
     akin : between sensitivities, below which two hypotheses are different effects and no alternatives, whatever each explains
     near : of a finding's delta chi-square; an alternative whose sensitivities are nearly the same lies no farther behind
-    alternative_alpha : chance above which an alternative explains nothing by itself
+    alternative_alpha : chance above which an alternative explains nothing by itself; what searching for it costs is in its odds already
     refitted : alternatives that are fitted with all that is free in a finding's place; 0 where the score is exact
     takes_over : minus twice the logarithm of odds by which an alternative must lead to take a finding's place, inf for never
     smooth_beyond : times a name's delta BIC, from which a smooth function without one explains so much more that no further name is given
@@ -39,7 +39,7 @@ class SelectionPolicy:
     cosine: float = 0.99
     akin: float = 0.0
     near: float = 0.03
-    alternative_alpha: float = 1e-4
+    alternative_alpha: float = 1e-2
     refitted: int = 4
     takes_over: float = 1.0
     smooth_beyond: float = 2.0
@@ -57,6 +57,7 @@ ARM = replace(
     forward_gain=None,  # a step admits several at once, each too small to tell by stretches until the others are in
     final_gain=2.0,  # no alternative takes a term's place and nothing is refitted nonlinearly, so stretches are the last judge of it
     akin=0.5,  # a sinusoid may stand for any smooth function of one joint: as good a score does not make another effect of it
+    alternative_alpha=1e-4,  # many sinusoids stand for any smooth function of a joint, each explaining a little of every other
     refitted=0,  # terms are linear at their grid's node: the score is the refit
     takes_over=float("inf"),  # a general profile beats its special case by chance; `simplified` decides between them instead
     smooth_beyond=float("inf"),  # something unnamed always remains of a real arm, and is most often several gears not admitted yet

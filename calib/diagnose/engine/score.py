@@ -1,7 +1,7 @@
 """How much a candidate explains, what it costs, and what else explains as much."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic
 
 import numpy as np
@@ -75,6 +75,15 @@ class Alternative(Generic[C]):
     score: Score[C]
     behind: float
     cosine: float
+
+
+def sharpened(score: Score[C], ratio: float, frames: int) -> Score[C]:
+    """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best with and without
+    (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's factor."""
+    delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
+    if delta <= score.delta_chi2:
+        return score
+    return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
 
 
 def best_of(model: LinearModel, candidate: C, solved: Solved, products: FrameProducts,

@@ -10,7 +10,7 @@ from calib.diagnose.engine.candidates import C
 from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.policy import SelectionPolicy
 from calib.diagnose.engine.problem import Fit, Model, Problem, Progress
-from calib.diagnose.engine.score import Alternative, Score
+from calib.diagnose.engine.score import Alternative, Score, sharpened
 
 DIGITS = 3  # of a node's values, by which hypotheses are told apart
 RESTARTS = 2  # times the most terms that there may be, after which terms are confirmed as they stand
@@ -115,15 +115,6 @@ def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: lis
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
 
 
-def sharpened(score: Score[C], ratio: float, frames: int) -> Score[C]:
-    """A Score with a fit's likelihood ratio in place of its delta chi-square where that is larger, scatter at its best with and without
-    (docs/mathematics.md (14)); its logarithm is less than chi-square of few frames, by Bartlett's factor."""
-    delta = ratio * max(1 - score.freedom / frames, 0.0) / score.dispersion
-    if delta <= score.delta_chi2:
-        return score
-    return replace(score, delta_chi2=delta, p_value=float(score.p_value * np.exp(-(delta - score.delta_chi2) / 2)))
-
-
 def key(score: Score[C]) -> tuple:
     """What a hypothesis is known by: its name, place and node."""
     node = tuple(sorted((name, round(value, DIGITS) if isinstance(value, float) else value) for name, value in score.node.items()))
@@ -203,19 +194,23 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         if number == len(problem.terms(fit)):
             break
         model, size = problem.without_term(fit, number), problem.size(fit)
-        own, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
+        scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
+        own = scanned
         if not convincing(own, count, size, policy) and own.p_value * count <= policy.hidden:
             own = sharpened(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
-        if not held and (not convincing(own, count, size, policy) or _outdone(problem, model, own)):  # beside all others it is none
+        if not held and not convincing(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []
             continue
-        found = alternatives_of(problem, model, own, labelled(progress, f"alternatives of {own.candidate.name}"))
-        tries = refitted(problem, fit, number, own, found)
+        found = alternatives_of(problem, model, scanned, labelled(progress, f"alternatives of {own.candidate.name}"))  # like against like
+        tries = refitted(problem, fit, number, scanned, found, own is not scanned)
         rest = [a for a in found if not any(a is t.scanned for t in tries)]
         ranked = sorted([*(t.alternative for t in tries), *rest], key=lambda a: a.behind)
         better = next((t for t in tries if t.alternative is ranked[0] and t.alternative.behind < -policy.takes_over), None)
         if better is not None and not held and convincing(better.alternative.score, count, size, policy):
             fit, findings = problem.in_place(better.fit, number), []
+            continue
+        if not held and _outdone(problem, model, own):  # only now: what has no name may be likelier than one name, and not than the next
+            fit, findings = problem.remove_term(fit, number), []
             continue
         findings.append(Finding(number, own, [a for a in ranked if alike(a, policy)]))
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
