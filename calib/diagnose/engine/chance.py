@@ -2,7 +2,9 @@
 
 Where a candidate was searched over a nonlinear parameter that means nothing under the null, its greatest delta chi-square is not
 chi-square: Davies' bound is used (Biometrika 74, 1987, 33-43, eq. 3.4), the search's own variation standing for the expected
-upcrossings. Over candidates the bound is Bonferroni's. The dispersion is the sandwich's (White, Econometrica 48, 1980, 817-838).
+upcrossings. Over candidates the bound is Bonferroni's. The dispersion is the sandwich's (White, Econometrica 48, 1980, 817-838), as the mean
+of its eigenvalues (Rao and Scott, JASA 76, 1981, 221-230), as firm as the frames that it is told by (Bell and McCaffrey, Survey
+Methodology 28, 2002, 169-181).
 """
 
 from typing import NamedTuple
@@ -15,23 +17,23 @@ from calib.diagnose.engine.linear import LinearModel
 from calib.diagnose.engine.products import SWALLOWED, FrameProducts
 
 Z95 = 1.959964  # normal quantile of a 95 % interval
-MANY = 2000  # frames from which Fisher's F is chi-square
+MANY = 2000  # degrees of freedom from which Fisher's F is chi-square
 
 
 class Dispersion(NamedTuple):
     """ratio : how much more frames' contributions to the projections scatter than the covariance says, at least 1
-    active : frames that contribute"""
+    freedom : degrees of freedom by which the contributions tell that"""
 
     ratio: float
-    active: int
+    freedom: float
 
 
-def davies(deltas: np.ndarray, rank: float, frames: int) -> float:
+def davies(deltas: np.ndarray, rank: float, freedom: float) -> float:
     """p-value of the greatest delta chi-square of deltas (k,), scanned in order with `rank` linear parameters; Fisher's F stands for
-    chi-square where frames are few."""
+    chi-square where the degrees of freedom of what deltas were divided by are few."""
     top = max(float(deltas.max()), 1e-12)
     rank = max(int(rank), 1)
-    tail = scipy.special.fdtrc(rank, max(frames - rank, 1), top / rank) if frames < MANY else scipy.special.chdtrc(rank, top)
+    tail = scipy.special.fdtrc(rank, max(freedom, 1.0), top / rank) if freedom < MANY else scipy.special.chdtrc(rank, top)
     if len(deltas) == 1:
         return float(tail)
     variation = np.abs(np.diff(np.sqrt(np.maximum(deltas, 0)))).sum()
@@ -52,14 +54,36 @@ def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray,
     own = products.beta - pushed @ coefficients + along[..., 0]  # products with what the fit leaves
     moved = ((weights @ coefficients)[..., None] * along[..., 1:]).sum(axis=1)
     contributions = (turned @ own[..., None])[..., 0] - model.leakage(reach, K) + moved
-    before = np.einsum("faq,faq->q", weights, pushed)
-    bread = before - (K**2).sum(axis=1)
-    seen = bread > SWALLOWED * before
+    own_rows = turned @ pushed
+    across = turned @ along[..., 1:]
+    squares = own_rows - across - np.swapaxes(across, 1, 2) + model.carried(K)  # (F, q, q) of the directions, nuisances taken out
     if cluster > 1:
-        starts = np.arange(0, len(contributions), cluster)
-        contributions = np.add.reduceat(contributions, starts, axis=0)
-    meat = (contributions**2).sum(axis=0)
-    active = int(pushed.any(axis=(1, 2)).sum())
-    few = active / max(active - len(coefficients), 1)
-    ratio = meat[seen] / bread[seen]
-    return Dispersion(max(1.0, float(ratio.mean() if seen.any() else 1.0) * few), active)
+        starts = np.arange(0, F, cluster)
+        contributions, squares = np.add.reduceat(contributions, starts, axis=0), np.add.reduceat(squares, starts, axis=0)
+    half = _seen(own_rows.sum(axis=0), K)
+    rank = half.shape[1]
+    if not rank:
+        return Dispersion(1.0, 1.0)
+    frames = int(pushed.any(axis=(1, 2)).sum()) - len(coefficients)
+    freedom = max(1.0, frames, _directions(half.T @ squares @ half))
+    ratio = float(((contributions @ half) ** 2).sum()) / rank * (freedom + rank) / freedom
+    return Dispersion(max(1.0, ratio), freedom)
+
+
+def _seen(before: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """(q, r) combinations of a candidate's directions that are orthonormal, nuisances taken out, of those that these leave visible.
+    before : (q, q) products of the directions with nuisances in; K : (q, p) with the nuisances' orthonormal basis"""
+    scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
+    values, vectors = np.linalg.eigh((before - K @ K.T) / scale[:, None] / scale)
+    kept = values > SWALLOWED
+    return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+
+
+def _directions(shares: np.ndarray) -> float:
+    """Degrees of freedom, by Satterthwaite, of contributions whose covariances are as stated, the candidate fitted: r (F - 1) where F frames say as
+    much of r directions each. shares : (F, r, r) that frames have in what is known of the directions"""
+    square = shares @ shares
+    total = square.sum(axis=0)
+    mean = shares.shape[1] - np.trace(total)
+    variance = np.trace(total) - 2 * np.einsum("fij,fji->", square, shares) + np.einsum("ij,ji->", total, total)
+    return float(mean**2 / variance) if mean > 0 and variance > 0 else 0.0

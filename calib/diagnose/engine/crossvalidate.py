@@ -43,11 +43,18 @@ def stretches(count: int, number: int) -> np.ndarray:
     return blocks(count, min(number, max(count // FEWEST, 2)))
 
 
-def folds(frames: int, sudden: bool, shorter: int = 4) -> np.ndarray:
+def folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = (), shorter: int = 4) -> np.ndarray:
     """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several shorter ones, so that
-    what comes before it and after it is never held out whole."""
+    what comes before it and after it is never held out whole. sides : each (F,) bool, what is before such a moment or after it; of one that
+    is within a single stretch, the later half is held out with the next."""
     count = min(FOLDS, frames // FEWEST)
-    return blocks(frames, min(shorter * FOLDS, frames // FEWEST)) % count if sudden else blocks(frames, count)
+    if not sudden:
+        return blocks(frames, count)
+    fold = blocks(frames, min(shorter * FOLDS, frames // FEWEST)) % count
+    for own in map(np.flatnonzero, sides):
+        if len(own) > 1 and len(np.unique(fold[own])) == 1:
+            fold[own[len(own) // 2 :]] = (fold[own[0]] + 1) % count
+    return fold
 
 
 def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray) -> HeldOut:

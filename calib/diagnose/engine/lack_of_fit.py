@@ -55,8 +55,8 @@ def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int
     delta, rank = solved.delta_chi2, float(solved.rank[0])
     if rank == 0:
         return None
-    spread, active = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
-    p = davies(delta / spread, rank, active)
+    spread, freedom = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
+    p = davies(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
     return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread)
 

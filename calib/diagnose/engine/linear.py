@@ -137,10 +137,13 @@ class LinearModel:
         columns = Column(tuple(np.column_stack([basis, part]) for basis, part in zip(self.columns.whole, more)))
         return LinearModel(blocks, columns, None, self.size - half.shape[1])
 
+    def _few(self) -> bool:
+        """Whether the products of a frame's basis, which is explicit, are fewer numbers than its rows."""
+        return self.half is None and self.columns.count * self.frames <= sum(int(block.edges[-1]) for block in self.blocks)
+
     def leakage(self, reach: np.ndarray, onto: np.ndarray) -> np.ndarray:
         """(F, q): per frame, the product of Q onto^T with the residual plus Q reach. reach : (r,); onto : (q, r)"""
-        rows = sum(int(block.edges[-1]) for block in self.blocks)
-        if self.half is None and self.columns.count * self.frames <= rows:  # then a frame's products are fewer numbers than its rows
+        if self._few():
             projections, grams = self.by_frames()
             return (projections + grams @ reach) @ onto.T
         back, size = (onto.T, reach) if self.half is None else (self.half @ onto.T, self.half @ reach)
@@ -150,6 +153,23 @@ class LinearModel:
             pushed = moved[:, :-1] * (block.residual[block.frames_rows] + moved[:, -1])[:, None]
             pushed = np.concatenate([pushed, np.zeros((1, len(onto)))])  # where the last frames have no rows
             out += np.add.reduceat(pushed, block.edges[:-1], axis=0) * (np.diff(block.edges) > 0)[:, None]
+        return out
+
+    def carried(self, onto: np.ndarray) -> np.ndarray:
+        """(F, q, q): per frame, the products of Q onto^T with itself. onto : (q, r)"""
+        if self._few():
+            return onto @ (self.by_frames()[1] @ onto.T)
+        back = onto.T if self.half is None else self.half @ onto.T
+        out = np.zeros((self.frames, len(onto), len(onto)))
+        for block, part in zip(self.blocks, self.columns.whole):
+            moved = (part @ back)[block.frames_rows]
+            each = np.unique(np.diff(block.edges))
+            if len(each) == 1:
+                moved = moved.reshape(self.frames, int(each[0]), len(onto))
+                out += np.swapaxes(moved, 1, 2) @ moved
+                continue
+            for f, (a, b) in enumerate(zip(block.edges[:-1], block.edges[1:])):
+                out[f] += moved[a:b].T @ moved[a:b]
         return out
 
     def cost(self) -> float:

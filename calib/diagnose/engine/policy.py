@@ -9,7 +9,8 @@ class SelectionPolicy:
 
     alpha : chance of a finding where there is nothing, over all effects, places and searches (Bonferroni)
     delta_bic : of the Bayesian information criterion that a term must bring; 10 is "very strong" (Kass and Raftery 1995)
-    hidden : chance, over all candidates, above which a candidate is not fitted to see whether its own scatter hides it; 0 for never
+    hidden : chance, over all candidates, above which a candidate is not fitted to see whether its own scatter hides it, unless it explains by
+    delta_bic more than it costs; 0 for never
     most : terms at once
     tried : candidates that may fail on held-out stretches before the search ends
     companions : of the greatest delta BIC; another axis' candidate with so much is admitted in the same step, inf for none

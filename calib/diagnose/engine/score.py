@@ -117,7 +117,7 @@ def at_node(model: LinearModel, candidate: C, best: int, node: Node, solved: Sol
     found = dispersion(model, products, weights, coefficients if len(coefficients) else np.ones(1), cluster)
     curve = deltas / found.ratio
     same = solved.rank == rank  # Davies' process has one number of parameters; Bonferroni over the numbers that there are
-    p = min(1.0, davies(curve[same], round(float(rank)), found.active) * len(np.unique(solved.rank)))
+    p = min(1.0, davies(curve[same], round(float(rank)), found.freedom) * len(np.unique(solved.rank)))
     return Score(candidate, dict(node), coefficients, float(curve[best]), p, int(np.ceil(rank)) + candidate.extra, found.ratio,
                  float(solved.seen[best]), curve)
 

@@ -106,13 +106,21 @@ def _steps(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | None)
 
 
 def _hidden(problem: Problem[Fit, Model, C], fit: Fit, model: Model, scores: list[Score[C]]) -> list[Score[C]]:
-    """Of the first few that a scan finds promising and not convincing, those that convince once fitted, the most convincing first: what is not
-    admitted yet counts as its own axis' scatter, and the strongest hides itself most."""
+    """Of the strongest that a scan sees and the few that it finds least likely by chance, none convincing, those that convince once fitted, the most
+    convincing first: what is not admitted yet counts as its own axis' scatter, the strongest hides itself most, and what a scan sees of it is
+    worth no more than its frames, however many numbers that has to pay for."""
     policy, linear = problem.policy, problem.linear(model)
-    close = [s for s in scores if s.raw_delta_bic(linear.size) >= policy.delta_bic and s.p_value * len(problem.candidates) <= policy.hidden]
-    fitted = [sharpened(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in close[: policy.tried]]
+    scanned = [s for s in scores if may_hide(s, len(problem.candidates), linear.size, policy)]
+    surest = sorted(scanned, key=lambda s: s.p_value)[: policy.tried]
+    strongest = [s for s in sorted(scanned, key=lambda s: -s.raw_delta_bic(linear.size))[:1] if not any(s is other for other in surest)]
+    fitted = [sharpened(s, problem.likelihood_ratio(fit, problem.add_term(fit, s)), linear.frames) for s in strongest + surest]
     found = [s for s in fitted if convincing(s, len(problem.candidates), linear.size, policy)]
     return sorted(found, key=lambda s: -s.delta_bic(linear.size))
+
+
+def may_hide(score: Score[C], count: int, size: int, policy: SelectionPolicy) -> bool:
+    """Whether a Score that does not convince may once it is fitted: it is not likely by chance, or explains much by whichever frames."""
+    return policy.hidden > 0 and (score.p_value * count <= policy.hidden or score.raw_delta_bic(size) >= policy.delta_bic)
 
 
 def key(score: Score[C]) -> tuple:
@@ -196,7 +204,7 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         model, size = problem.without_term(fit, number), problem.size(fit)
         scanned, held = problem.rescored(model, fit, number), problem.given.holds(problem.terms(fit)[number])
         own = scanned
-        if not convincing(own, count, size, policy) and own.p_value * count <= policy.hidden:
+        if not convincing(own, count, size, policy) and may_hide(own, count, size, policy):
             own = sharpened(own, problem.likelihood_ratio(problem.remove_term(fit, number), fit), problem.linear(model).frames)
         if not held and not convincing(own, count, size, policy):  # beside all others it is none
             fit, findings = problem.remove_term(fit, number), []

@@ -144,10 +144,14 @@ def _weighed_beside(problem: PlatformProblem, fit: PlatformFit, site: Site, form
 
 
 def _grown(linear: LinearModel, parts: tuple) -> LinearModel:
-    """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out again."""
-    z = sum((Q.T @ part[:, 0] for Q, part in zip(linear.columns.whole, parts) if part is not None), np.zeros(linear.columns.count))
-    blocks = tuple(replace(block, residual=block.residual + (0 if part is None else part[:, 0]) - Q @ z)
-                   for block, part, Q in zip(linear.blocks, parts, linear.columns.whole))
+    """LinearModel with parts (one (m, 1) for each block, None for nothing) added to the residuals, nuisances taken out again. What a block knows
+    beforehand besides, tolerances, stays as it is: a part may end before it."""
+    added = [np.zeros(len(block.residual)) for block in linear.blocks]
+    for rows, part in zip(added, parts):
+        if part is not None:
+            rows[: len(part)] = part[:, 0]
+    z = np.sum([Q.T @ rows for Q, rows in zip(linear.columns.whole, added)], axis=0)
+    blocks = tuple(replace(block, residual=block.residual + rows - Q @ z) for block, rows, Q in zip(linear.blocks, added, linear.columns.whole))
     return replace(linear, blocks=blocks)
 
 

@@ -27,7 +27,8 @@ def cross_validate_blocks(refined: Refined, numbers: set[int], blocks: tuple[int
 def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.ndarray]:
     """(held out without the effects, with them, folds (F,))."""
     model, k = refined.model, refined.point
-    fold = folds(model.frames, any(k.effects[i].sudden for i in numbers))
+    asked = [k.effects[i] for i in sorted(numbers)]
+    fold = folds(model.frames, any(e.sudden for e in asked), _sides(asked, k.t))
     with_all = refined.marginalised
     after = held_out(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
@@ -35,6 +36,12 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     done = change(model, [e for i, e in enumerate(k.effects) if i not in numbers])
     grown = tuple(b.residual if part is None else b.residual + part[:, 0] for b, part in zip(model.linear.blocks, done.parts))
     return held_out(bare.linear, grown, fold), after, fold
+
+
+def _sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
+    """[(F,) bool], which of the times t (F,) s lie after each moment at which effects happen, and which before."""
+    moments = [getattr(e, p.name) for e in effects if e.sudden for p in e.parameters if p.role == "moment"]
+    return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
 def change(model: LinearisedModel, effects: Sequence[Effect]) -> Column:
