@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.samples import Samples, in_plane, samples
+from calib.samples import Samples, in_plane, samples, with_stage
 from rig.design import Instrument
 from rig.errors import NotEnoughData, RigError
 from rig.observed import Corners, Poses
@@ -52,6 +52,9 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     own = measured.covariance - measured.common @ np.swapaxes(measured.common, 1, 2)
     source = "images" if collected is not None else "corners.csv"
     found = samples(recording, measured.frames, measured.T_base_platform, own, measured.common)
+    for stage, below in measured.stages.items():
+        alone = below.covariance - below.common @ np.swapaxes(below.common, 1, 2)
+        found = with_stage(found, stage, below.frames, below.T_base_platform, alone, below.common)
     return Sampled(freed(recording, found), source, measured, collected,
                    instrument=CAMERAS if recording.design.mechanism.kind == "arm" else None)
 
@@ -72,11 +75,18 @@ def _from_poses(recording: Recording, poses: Poses) -> Samples:
     if instrument is not None and instrument.rotation_sigma is None and kind != "arm":
         raise RigError(f"{recording.folder}: [instrument] states no rotation_sigma, and positions alone calibrate arms, not a mechanism of "
                        f"kind {kind!r}")
-    covariance = poses.covariance
-    if covariance is None:
-        position, rotation = (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
-        variances = np.repeat([position**2, rotation**2], 3)
-        if instrument is not None and instrument.kind == "distance":
-            variances[1:] = np.inf
-        covariance = np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))
-    return samples(recording, poses.frame, poses.T_base_platform, covariance)
+    found = samples(recording, poses.frame, poses.T_base_platform, _covariance(poses, instrument))
+    for stage, below in recording.stages.items():
+        found = with_stage(found, stage, below.frame, below.T_base_platform, _covariance(below, instrument))
+    return found
+
+
+def _covariance(poses: Poses, instrument: Instrument | None) -> np.ndarray:
+    """(n, 6, 6) of poses: their own, or what their instrument states."""
+    if poses.covariance is not None:
+        return poses.covariance
+    position, rotation = (instrument.position_sigma, instrument.rotation_sigma or np.inf) if instrument is not None else UNSTATED
+    variances = np.repeat([position**2, rotation**2], 3)
+    if instrument is not None and instrument.kind == "distance":
+        variances[1:] = np.inf
+    return np.broadcast_to(np.diag(variances), (len(poses.frame), 6, 6))

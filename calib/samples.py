@@ -10,6 +10,25 @@ from rig.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Below:
+    """What was measured of a stage of a chain below the last in the n configurations of Samples.
+
+    stage : number, from 1; T_base_stage : RigidTransform (n,); covariance, common : as of Samples, with the same shared draws; seen : (n,) bool,
+    where it was measured: all else is void elsewhere
+    """
+
+    stage: int
+    T_base_stage: RigidTransform
+    covariance: np.ndarray
+    common: np.ndarray
+    seen: np.ndarray
+
+    def take(self, index: np.ndarray | slice) -> "Below":
+        """The same of an index or mask (n,)."""
+        return Below(self.stage, self.T_base_stage[index], self.covariance[index], self.common[index], self.seen[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Samples:
     """n visited configurations.
 
@@ -19,6 +38,7 @@ class Samples:
     infinite for rotations that were not measured
     common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses, docs/mathematics.md (6)
     known : (n, axes) m or rad by which the axes stood beyond their commands, as far as physics that is known says; None for none
+    below : (Below, ..) of a chain, what else was measured
     """
 
     frame: np.ndarray
@@ -28,6 +48,7 @@ class Samples:
     covariance: np.ndarray
     common: np.ndarray
     known: np.ndarray | None = None
+    below: tuple[Below, ...] = ()
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -47,7 +68,7 @@ class Samples:
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
-                       self.common[index], None if self.known is None else self.known[index])
+                       self.common[index], None if self.known is None else self.known[index], tuple(one.take(index) for one in self.below))
 
     @property
     def effective(self) -> np.ndarray:
@@ -70,6 +91,21 @@ def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTran
     at = np.searchsorted(known, frames)
     common = np.zeros((len(frames), 6, 0)) if common is None else common
     return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common)
+
+
+def with_stage(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: RigidTransform, covariance: np.ndarray,
+               common: np.ndarray | None = None) -> Samples:
+    """Samples with what was measured of a chain's stage (from 1) at some frames (f,); what has no pose of the platform beside it is left aside.
+
+    covariance : (f, 6, 6) without what `common` (f, 6, k) adds, by the same draws as the platform's
+    """
+    if not len(frames):
+        return samples
+    common = np.zeros((len(frames), 6, 0)) if common is None else common
+    at = np.searchsorted(frames, samples.frame)
+    seen = np.isin(samples.frame, frames)
+    row = np.where(seen, np.minimum(at, len(frames) - 1), 0)
+    return replace(samples, below=(*samples.below, Below(stage, T_base_stage[row], covariance[row], common[row], seen)))
 
 
 def in_plane(samples: Samples) -> Samples:

@@ -20,7 +20,7 @@ def stage(design: Design, frames: np.ndarray, T: RigidTransform, values: np.ndar
           effects: tuple[Effect, ...] = ()) -> Stage:
     """Stage of a rig. frames : (n,) numbers; T : T_base_platform (n,); values : (n, axes) commanded, by which an arm's links are drawn, or None
     errors : {name: (n, 6) tangent on the right}, NaN where not known"""
-    m, markers = design.mechanism, marker_map(design) if design.targets else None
+    m, markers = design.mechanism, marker_map(design.without_stages()) if design.targets else None
     base = platform = np.zeros((0, 3))
     moved = [] if markers is None else [_face(markers, int(k)) for k in np.flatnonzero(markers.on_platform)]
     fixed, links = fixed_parts(design, markers), None

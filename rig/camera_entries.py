@@ -46,8 +46,17 @@ def check_in_hand(root: Entries, cameras: tuple[Camera, ...], targets: tuple[Tar
         if mine and isinstance(mechanism, Free):
             table.fail(f'camera {camera.name!r}: a mechanism of kind "free" has no hand; a camera that is moved about is "moving"', "mount")
     for table, target in zip(root.tables("target"), targets):
-        if any(held) and target.body == "platform":
-            table.fail(f"target {target.name!r} is on the platform, which carries the cameras: they see the base's targets alone", "body")
+        if any(held) and target.body != "base":
+            table.fail(f"target {target.name!r} is on the {target.body}, and the platform carries the cameras: they see the base's targets alone",
+                       "body")
+
+
+def check_of_stages(root: Entries, cameras: tuple[Camera, ...], targets: tuple[Target, ...]) -> None:
+    """Raise FileError for targets on a stage of a chain beside a camera that moves: where it stood is told frame by frame, of one body."""
+    moving = [camera.name for camera in cameras if camera.mount == "moving"]
+    for table, target in zip(root.tables("target"), targets):
+        if moving and target.stage:
+            table.fail(f"target {target.name!r} is on {target.body}, which cameras that stand still measure, and camera {moving[0]!r} moves", "body")
 
 
 def _source(table: Entries) -> str | None:

@@ -1,6 +1,8 @@
 """What a rig is, as its owner states it: frozen dataclasses in metres, radians and pixels."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -152,8 +154,9 @@ class Marker:
 class Target:
     """Markers fixed to one body. A cube has edge, marker, faces and pose; any other target lists its markers.
 
-    name : its own; body : what it is fixed to; dictionary : OpenCV's name of the markers'; edge : m, of the cube; marker : m, outer side of the
-    black border; faces : pairs of face and id; pose : T_body_cube, of the cube's centre; listed : the markers of one that is no cube
+    name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"; dictionary : OpenCV's name of
+    the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id; pose : T_body_cube, of the
+    cube's centre; listed : the markers of one that is no cube
     """
 
     name: str
@@ -164,6 +167,11 @@ class Target:
     faces: tuple[tuple[str, int], ...] = ()
     pose: RigidTransform | None = None
     listed: tuple[Marker, ...] = ()
+
+    @property
+    def stage(self) -> int:
+        """Number (from 1) of the chain's stage whose platform carries it, below the last; 0 for one on the base or the platform."""
+        return int(self.body.removeprefix("stage ")) if self.body.startswith("stage ") else 0
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -197,6 +205,10 @@ class Design:
             if camera.name == name:
                 return camera
         raise ValueError(f"no camera {name!r}; there are {[camera.name for camera in self.cameras]}")
+
+    def without_stages(self) -> Design:
+        """The same without the targets that a chain carries below its last platform."""
+        return replace(self, targets=tuple(target for target in self.targets if not target.stage))
 
     def driver(self) -> Controller:
         """The Controller. Raises RigError where nothing is driven."""

@@ -15,6 +15,7 @@ from rig.design import (DICTIONARIES, FACES, PERMITTED, Actuator, Arm, Camera, C
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.instrument_entries import instrument
+from rig.kinds import bodies_of
 from rig.outside import read_text
 from rig.pose import vector
 from rig.singular import singular
@@ -61,8 +62,9 @@ def design_of(root: Entries) -> Design:
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
-    cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"))
+    cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
     camera_entries.check_in_hand(root, cameras, targets, mechanism)
+    camera_entries.check_of_stages(root, cameras, targets)
     return Design(
         name=root.text("name", default="rig"), gravity=gravity, mechanism=mechanism,
         instrument=instrument(root.table("instrument")) if "instrument" in root.tree else None,
@@ -188,14 +190,14 @@ def _sensor(table: Entries) -> Sensor:
     return Sensor(**values, bits=table.get("bits", 8))
 
 
-def _targets(tables: list[Entries]) -> tuple[Target, ...]:
+def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:
     targets, owners = list[Target](), dict[int, str]()
     for table in tables:
         table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
         name = table.identifier("name")
         if name in [target.name for target in targets]:
             table.fail(f"target {name!r} is listed twice", "name", value=name)
-        body, dictionary = table.text("body", ("platform", "base")), table.text("dictionary", tuple(DICTIONARIES))
+        body, dictionary = table.text("body", bodies), table.text("dictionary", tuple(DICTIONARIES))
         listed = isinstance(table.tree.get("marker"), list)
         target = _listed(table, name, body, dictionary) if listed else _cube(table, name, body, dictionary)
         keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]

@@ -125,6 +125,11 @@ class Chain:
         """Names of the commanded axes, as commands.csv heads its columns: s1q1 .., s2l1 .."""
         return tuple(f"s{i + 1}{axis}" for i, stage in enumerate(self.stages) for axis in stage.axes)
 
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of what its stages move below the last platform: "stage 1" .."""
+        return tuple(f"stage {i + 1}" for i in range(len(self.stages) - 1))
+
 
 @dataclass(frozen=True, slots=True)
 class Free:

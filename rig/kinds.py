@@ -35,6 +35,11 @@ def chain_of(mechanism: Mechanism) -> Chain:
     return mechanism
 
 
+def bodies_of(mechanism: Mechanism) -> tuple[str, ...]:
+    """The bodies of a rig that may carry targets: "platform", "base", and of a chain what its stages move below the platform, "stage 1" .."""
+    return ("platform", "base", *(mechanism.bodies if isinstance(mechanism, Chain) else ()))
+
+
 def axes_of(mechanism: Mechanism) -> Hexapod | Planar2 | Arm | Chain:
     """The mechanism, which has axes to command. Raises RigError for a body that is moved by hand."""
     if isinstance(mechanism, Free):

@@ -129,5 +129,10 @@ def _with_rates(design: Design, commands: Commands, t: np.ndarray, effects: Sequ
     back[order] = np.arange(len(order))
     before, at, after = np.split(back, 3)
     T = done.T_base_platform
-    minus, plus = difference(T[at], T[before]), difference(T[at], T[after])
-    return Run(T[at], done.deviation[at], (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2, tuple(stage[at] for stage in done.stages))
+    return Run(T[at], done.deviation[at], *rates(T[at], T[before], T[after]), tuple(stage[at] for stage in done.stages))
+
+
+def rates(T: RigidTransform, before: RigidTransform, after: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
+    """(rate (n, 6) tangent per s, curvature (n, 6) per s^2) of poses (n,), and where they were ABOUT s before and after."""
+    minus, plus = difference(T, before), difference(T, after)
+    return (plus - minus) / (2 * ABOUT), (plus + minus) / ABOUT**2

@@ -13,6 +13,7 @@ from rig.entries import name_problem
 from rig.errors import FileError, RigError
 from rig.exposures import Exposures, Unreadable, load_exposures
 from rig.files import complete
+from rig.kinds import bodies_of
 from rig.notebook import shown
 from rig.observed import Corners, Poses, load_corners, load_measured, load_poses
 from rig.origin import Origin, decimal
@@ -63,7 +64,8 @@ class Recording:
     """A whole recording; parts that the folder lacks are None. All times are s from the recording's start: its first command,
     or where nothing was commanded its first exposure; origin : of the owner's clock, to write them
     skipped : images that cannot be used and were left out, as asked
-    parts : (Part, ..) where it is several recordings of one rig together (see rig.together)"""
+    parts : (Part, ..) where it is several recordings of one rig together (see rig.together)
+    stages : {number (from 1): Poses} of a chain's stages below the last, where the folder has them"""
 
     folder: Path
     design: Design
@@ -75,6 +77,7 @@ class Recording:
     origin: Origin = Origin()
     skipped: tuple[Unreadable, ...] = ()
     parts: tuple["Part", ...] = ()
+    stages: dict[int, Poses] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -143,7 +146,19 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     known = set(exposures.frame.tolist())
     poses = load_measured(folder / "poses.csv", known, design.instrument) if (folder / "poses.csv").exists() else None
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
-    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped))
+    return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped), stages=_stages(folder, design, known))
+
+
+def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
+    """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have below the last."""
+    bodies = bodies_of(design.mechanism)
+    out = {}
+    for path in sorted(folder.glob("poses_stage*.csv")):
+        body = path.stem.replace("poses_stage", "stage ")
+        if body not in bodies:
+            raise FileError(path, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
+        out[int(body.removeprefix("stage "))] = load_poses(path, known)
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -76,7 +76,8 @@ def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
     design = replace(first.design, cameras=tuple(cameras.values()))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(first, design=design, commands=_commands(parts), exposures=_exposures(parts, owners), sensors=_sensors(parts),
-                   corners=_corners(parts, owners), poses=_poses(parts), skipped=skipped, parts=tuple(parts))
+                   corners=_corners(parts, owners), poses=_poses(parts, None), skipped=skipped, parts=tuple(parts),
+                   stages={k: poses for k in first.stages if (poses := _poses(parts, k)) is not None})
 
 
 def called(camera: str, owners: dict[str, int]) -> str:
@@ -138,15 +139,17 @@ def _corners(parts: Sequence[Part], owners: Owners) -> Corners | None:
                    np.concatenate([c.uv for _, c, _ in seen]), np.concatenate(covariance) if len(covariance) == len(seen) else None)
 
 
-def _poses(parts: Sequence[Part]) -> Poses | None:
-    found = [(part, part.recording.poses) for part in parts]
+def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:
+    """Poses of all, of the platform or of a chain's stage below it (its number), or None where one has none."""
+    found = [(part, part.recording.poses if stage is None else part.recording.stages.get(stage)) for part in parts]
     seen = [(part, p) for part, p in found if p is not None]
     covariance = [p.covariance for _, p in seen if p.covariance is not None]
     if len(seen) < len(found):
         return None
     if 0 < len(covariance) < len(seen):
         lacks = next(part for part, p in seen if p.covariance is None)
-        raise RigError(f"{lacks.recording.folder / 'poses.csv'} states no covariance, and another recording's does")
+        name = "poses.csv" if stage is None else f"poses_stage{stage}.csv"
+        raise RigError(f"{lacks.recording.folder / name} states no covariance, and another recording's does")
     return Poses(np.concatenate([part.frames + p.frame for part, p in seen]),
                  RigidTransform.concatenate([p.T_base_platform for _, p in seen]), np.concatenate(covariance) if covariance else None)
 

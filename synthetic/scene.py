@@ -74,10 +74,11 @@ def parts(design: Design, background: str = "plain", rng: np.random.Generator | 
             found += _plate(stands.base, stands.stage.base_joints, design) + _plate(stands.platform, stands.stage.platform_joints, design)
         found += _struts(stands)
     placed = markers if markers is not None else marker_map(design)
+    carriers = {target.name: target.body for target in design.targets}
     for target in design.targets:
         found += _blank_faces(target)
     for k in range(len(placed.id)):
-        found.append(marker_face("platform" if placed.on_platform[k] else "base", placed.dictionary[k], int(placed.id[k]),
+        found.append(marker_face(carriers[placed.target[k]], placed.dictionary[k], int(placed.id[k]),
                                  placed.T_body_marker[k], placed.side[k], placed.side[k] + 2 * placed.margin[k]))
     return found + _surroundings(design, background, rng)
 

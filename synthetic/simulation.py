@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,17 +85,40 @@ def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: Measuring
 
 def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
     """(Sightings, corners (k, 4, 2) px) of every marker seen whole: facing a camera, inside its image, nothing in the way."""
-    world, run = simulation.world, simulation.run
-    state = State(world.true.cameras, run.T_base_platform, carried(world.true.cameras, run.T_base_platform))
+    world = simulation.world
     stated = real = marker_map(world.true)
     for effect in world.effects:
         real = effect.attach(real)
+    parts = [_sight_of(simulation, stage, stated, real, steepest) for stage in np.unique(real.stage).tolist()]
+    found = Sightings(*(np.concatenate([getattr(f, name) for f, _ in parts]) for name in ("frame", "camera", "marker")))
+    return found, np.concatenate([uv for _, uv in parts])
+
+
+def _sight_of(simulation: Simulation, stage: int, stated: MarkerMap, real: MarkerMap, steepest: float) -> tuple[Sightings, np.ndarray]:
+    """The same of the base's and the platform's markers (stage 0) or of those on a stage of a chain below the last (its number)."""
+    world, run = simulation.world, simulation.run
+    body = _body(simulation, stage)
+    state = State(world.true.cameras, body.T_base_platform, carried(world.true.cameras, run.T_base_platform))
     found = facing(state, real, steepest)
-    uv = see(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, run)
+    found = found.take(real.stage[found.marker] == stage)
+    uv = see(found, state, stated, simulation.plan.t, world.effects, simulation.sensors, body)
     whole = inside(found, uv, state.cameras)
     found, uv = found.take(whole), uv[whole]
-    clear = ~_covered(world.true, moved(run), real, found)
+    clear = ~_covered(world.true, moved(run), body.T_base_platform, real, found)
     return found.take(clear), uv[clear]
+
+
+def _body(simulation: Simulation, stage: int) -> machine.Run:
+    """The Run as markers on a stage of a chain have it: that stage's platform in the place of the last; the Run itself for stage 0."""
+    run, t = simulation.run, simulation.plan.t
+    if not stage:
+        return run
+    T = run.stages[stage - 1]
+    if run.rate is None:
+        return replace(run, T_base_platform=T)
+    before, after = (simulation.at_times(t + step)[stage - 1] for step in (-machine.ABOUT, machine.ABOUT))
+    rate, curvature = machine.rates(T, before, after)
+    return replace(run, T_base_platform=T, rate=rate, curvature=curvature)
 
 
 def carried(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dict[int, RigidTransform]:
@@ -103,16 +126,15 @@ def carried(cameras: tuple[Camera, ...], T_base_platform: RigidTransform) -> dic
     return {i: T_base_platform * camera.pose for i, camera in enumerate(cameras) if camera.mount == "hand"}
 
 
-def _covered(design: Design, stages: list[RigidTransform], markers: MarkerMap, found: Sightings) -> np.ndarray:
-    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `moved`"""
-    T = stages[-1]
+def _covered(design: Design, stages: list[RigidTransform], T: RigidTransform, markers: MarkerMap, found: Sightings) -> np.ndarray:
+    """(k,) bool, whether a corner, an edge's middle or the middle of a marker is hidden. stages : of `moved`; T : (F,) of what carries them"""
     square = markers.corners[found.marker]
     points = np.concatenate([square, (square + np.roll(square, -1, axis=1)) / 2, square.mean(axis=1, keepdims=True)], axis=1)
     matrix = T.as_matrix()[found.frame]
     on = markers.on_platform[found.marker]
     base = np.where(on[:, None, None], points @ np.swapaxes(matrix[:, :3, :3], 1, 2) + matrix[:, None, :3, 3], points)
     eyes = np.empty((len(found.frame), 3))
-    moving = carried(design.cameras, T)
+    moving = carried(design.cameras, stages[-1])
     for i, camera in enumerate(design.cameras):
         rows = found.camera == i
         eyes[rows] = moving[i].translation[found.frame[rows]] if i in moving else camera.pose.translation

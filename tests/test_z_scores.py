@@ -1,4 +1,5 @@
-"""Parameters are as sure as is said: z-scores over two hundred recordings, of arms that are seen and two struts from corners, of a chain from poses.
+"""Parameters are as sure as is said: z-scores over two hundred recordings, of arms that are seen and two struts from corners, of a chain from
+poses and from corners.
 
 A world is recorded once; two hundred times noise is put on its corners, or on the instrument's poses, and all is measured and identified anew. What
 parameters truly are, in the gauge of the fit, is what the same recording says with next to no noise.
@@ -36,9 +37,17 @@ def planar(folder):
     return "sobol:16"
 
 
-def on_a_gantry(folder):
-    written(folder)
+def on_a_gantry(folder, **words):
+    written(folder, **words)
     return "sobol:40"
+
+
+def seen_on_a_gantry(folder):
+    return on_a_gantry(folder, seen=True)
+
+
+def with_its_carriage(folder):
+    return on_a_gantry(folder, seen=True, carriage=True)
 
 
 def fitted(samples, design, instrument):
@@ -105,8 +114,9 @@ def combinations(covariance, size):
     return along
 
 
-@pytest.mark.parametrize("make, words", [(arm, ("cubes", 2)), (arm, ("hand", 1)), (planar, ()), (on_a_gantry, ())],
-                         ids=["arm with cubes", "camera in the hand", "planar2", "hexapod on a gantry"])
+@pytest.mark.parametrize("make, words", [(arm, ("cubes", 2)), (arm, ("hand", 1)), (planar, ()), (on_a_gantry, ()), (seen_on_a_gantry, ()),
+                                         (with_its_carriage, ())],
+                         ids=["arm with cubes", "camera in the hand", "planar2", "hexapod on a gantry", "seen on a gantry", "with its carriage seen"])
 def test_z_scores_of_two_hundred_recordings(tmp_path, make, words):
     z = scores(tmp_path, make, *words)
     assert len(z) == RUNS and abs(z.mean()) < 0.1 and np.abs(z.mean(axis=0)).max() < 4.5 / np.sqrt(RUNS)

@@ -1,7 +1,9 @@
 """Corners of a recording -> cameras adjusted and the platform's pose in every frame, with covariance."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -37,6 +39,7 @@ class Measurement:
     frame where neither camera nor marker moves; weights : (k, 2, 2) px^2 covariance of the solved frames' corners with that
     allowed for; factor : what stated covariances were multiplied by
     adjustment : the last Adjustment, for its shared unknowns
+    stages : {number (from 1): Measurement} of a chain's stages below the last that carry targets, of T_base_stage; common has the same draws
     """
 
     design: Design
@@ -53,6 +56,7 @@ class Measurement:
     weights: np.ndarray
     factor: float
     adjustment: Adjustment
+    stages: dict[int, Measurement] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -80,10 +84,12 @@ class Measurement:
         return [number for target in self.design.targets for number in target.ids]
 
     def corners(self) -> Corners:
-        """recording.Corners of all observations, with covariance."""
-        o, ids = self.observations, self.ids()
+        """recording.Corners of all observations, those of stages too, with covariance."""
+        seen, ids = [m.observations for m in (self, *self.stages.values())], np.array(self.ids(), int)
         names = [camera.name for camera in self.design.cameras]
-        return Corners(o.frames[o.frame], [names[i] for i in o.camera], np.array(ids, int)[o.marker], o.corner, o.uv, o.covariance)
+        return Corners(np.concatenate([o.frames[o.frame] for o in seen]), [names[i] for o in seen for i in o.camera],
+                       np.concatenate([ids[o.marker] for o in seen]), np.concatenate([o.corner for o in seen]),
+                       np.concatenate([o.uv for o in seen]), np.concatenate([o.covariance for o in seen]))
 
 
 def measure(observations: Observations, design: Design, marker_map: MarkerMap, free: Sequence[str] = ("poses", "lenses"),

@@ -7,6 +7,7 @@ import numpy as np
 from rig.design import Design
 from rig.errors import NotEnoughData
 from rig.recording import Corners, Recording
+from vision import stages
 from vision.bundle.adjust import NoOptimum
 from vision.bundle.places import HALVED, doubtful, moves
 from vision.in_hand import exchanged, in_hand, of_platform
@@ -101,6 +102,9 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
 def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str], progress: Callable[[str, int, int], None] | None,
           t: np.ndarray, places: str) -> Measurement:
     """Measurement with places as stated, or free where that is asked for or the stated ones do not bear looking at. t : (F,) s"""
+    if markers.stage.any():
+        stages.refuse_free(places)
+        return stages.parted(measure(stages.apart(observed, markers), design, markers, free, progress, stages.times(t, markers)), markers)
     loose, measured, contradicted = (*free, "markers"), None, True
     if places == "free":
         return measure(observed, design, markers, loose, progress, t)

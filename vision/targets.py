@@ -18,7 +18,8 @@ SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0
 class MarkerMap:
     """All markers of a rig, one row each.
 
-    id : (m,); on_platform : (m,) bool; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
+    id : (m,); on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it; stage : (m,) number (from 1) of that stage, 0 for
+    the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
     corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and side
     """
 
@@ -29,6 +30,7 @@ class MarkerMap:
     margin: np.ndarray
     dictionary: list[str]
     target: list[str]
+    stage: np.ndarray
     corners: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -73,10 +75,10 @@ def marker_map(design: Design) -> MarkerMap:
     if not rows:
         raise ValueError(f"design {design.name!r} has no targets")
     return MarkerMap(
-        id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body == "platform" for _, target in rows]),
+        id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body != "base" for _, target in rows]),
         T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]), side=np.array([marker.side for marker, _ in rows]),
         margin=np.array([marker.margin for marker, _ in rows]), dictionary=[target.dictionary for _, target in rows],
-        target=[target.name for _, target in rows])
+        target=[target.name for _, target in rows], stage=np.array([target.stage for _, target in rows]))
 
 
 @cache

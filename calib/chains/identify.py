@@ -1,21 +1,21 @@
-"""A chain's parameters, all stages together, from the poses of its last platform; and which of their combinations no pose tells apart.
+"""A chain's parameters, all stages together, from the poses of its last platform and of stages below it that were measured; and which of
+their combinations no pose tells apart.
 
 What one stage does the next may undo: where a gantry's carriage holds the hexapod and where the hexapod's base joints stand on it are one and the
-same. Such combinations have no information in the poses; they stay as the owner's figures have them and are named.
+same to the last platform, until the carriage itself is measured. Combinations without information in the poses stay as the owner's figures have
+them and are named.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arms.scatter import beyond
 from calib.chains import model
+from calib.chains.bodies import bodies, hat_of
 from calib.identify.least_squares import Linear, fit
 from calib.samples import Samples
 from rig.design import Chain
 from rig.errors import NotEnoughData
-from rig.mechanisms import chain as mechanism
-from rig.pose import difference
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -47,7 +47,8 @@ class Identified:
 
     chain : with the fitted geometry; step : (p,) m and rad from the owner's figures; covariance : (p, p), 0 for what is no freedom
     told : ((determined, asked), ..) combinations of each stage's own parameters, all others unknown as well; untold : (Untold, ..)
-    scatter : (6,) m and rad beyond the instrument's own; inliers : (n,) bool
+    scatter : (6,) m and rad of the last platform beyond the instrument's own; inliers : (n,) bool, its poses that agree
+    below : ((stage, poses that agree, of), ..) of the stages that were measured beside it
     """
 
     chain: Chain
@@ -57,53 +58,57 @@ class Identified:
     untold: tuple[Untold, ...]
     scatter: np.ndarray
     inliers: np.ndarray
+    below: tuple[tuple[int, int, int], ...] = ()
 
     def report(self) -> list[str]:
         """Lines for a reader, stage by stage, then what cannot be told apart."""
         lines = [f"stage {k + 1} ({stage.kind}): {told} of {asked} combinations of its parameters are told"
                  for k, (stage, (told, asked)) in enumerate(zip(self.chain.stages, self.told))]
+        lines += [f"stage {k}: {agree} of {of} poses of its own take part" for k, agree, of in self.below]
         for upper, lower in sorted({one.stands for one in self.untold if one.stands is not None}):
             count = sum(one.stands == (upper, lower) for one in self.untold)
             lines.append(f"{count} of 6 figures of where stage {upper} stands on stage {lower} cannot be told from stage {lower}'s own: its "
                          f"base moved as a whole, the last platform stays; they stay as stated")
         rest = [one for one in self.untold if one.stands is None]
         if rest:
-            lines.append(f"{len(rest)} more combinations that no pose of the last platform tells stay as stated:")
+            lines.append(f"{len(rest)} more combinations that no pose tells stay as stated:")
         return lines + [f"  {one}" for one in rest]
 
 
 def identify(samples: Samples, nominal: Chain) -> Identified:
     """Identified : the parameters that explain the poses, as near to the owner's as these allow.
 
-    samples : Samples of the last platform; nominal : where the fit starts and where its prior holds what the poses do not tell
+    samples : Samples of the last platform, and of stages below it
+    nominal : where the fit starts and where its prior holds what the poses do not tell
     Raises NotEnoughData for fewer than 3 poses, RigError where the fit does not settle
     """
     sigma = model.prior(nominal)
     free = sigma > 0
     if len(samples) < 3:
         raise NotEnoughData(f"{len(samples)} poses say nothing of a chain; it takes 3 at the least, better {int(free.sum())}")
-    scatter = np.zeros(6)
+    measured = bodies(samples)
+    rows = np.split(np.arange(sum(len(one.values) for one in measured)), np.cumsum([len(one.values) for one in measured])[:-1])
+    scatter = np.zeros((len(measured), 6))
     for _ in range(ROUNDS):
-        white = np.linalg.inv(np.linalg.cholesky(samples.covariance + np.diag(scatter**2)))
+        white = [np.linalg.inv(np.linalg.cholesky(one.covariance + np.diag(own**2))) for one, own in zip(measured, scatter)]
 
-        def linearise(p: np.ndarray, white: np.ndarray = white) -> Linear:
+        def linearise(p: np.ndarray, white: list[np.ndarray] = white) -> Linear:
             step = np.zeros(len(sigma))
             step[free] = p
-            chain = model.moved(nominal, step)
-            left = difference(mechanism.forward(samples.effective, chain), samples.T_base_platform)
-            return Linear((white @ left[..., None])[..., 0], white @ model.parameter_jacobian(samples.effective, chain)[..., free],
-                          white @ samples.common)
+            parts = [one.linear(model.moved(nominal, step), W, free) for one, W in zip(measured, white)]
+            return Linear(*(np.concatenate(column) for column in zip(*parts)))
 
         found = fit(linearise, np.zeros(free.sum()), np.zeros(free.sum()), sigma[free], robust=True)
-        left = np.linalg.solve(white, found.residual[..., None])[..., 0]
-        again = beyond(left[found.inliers], samples.covariance[found.inliers], min(free.sum() / (6 * found.inliers.sum()), 0.9))
+        hat = hat_of(linearise(found.parameters), found.inliers, sigma[free])
+        again = np.array([one.scatter(W, found.residual[own], found.inliers[own], hat[own]) for one, W, own in zip(measured, white, rows)])
         if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
             break
         scatter = again
     step, covariance = np.zeros(len(sigma)), np.zeros((len(sigma), len(sigma)))
     step[free], covariance[np.ix_(free, free)] = found.parameters, found.covariance
-    return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal), scatter,
-                      found.inliers)
+    below = tuple((one.stage, int(found.inliers[own].sum()), len(own)) for one, own in zip(measured, rows) if one.stage is not None)
+    return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal),
+                      scatter[0], found.inliers[rows[0]], below)
 
 
 def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:

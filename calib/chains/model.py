@@ -66,11 +66,15 @@ def base_motions(stage: Stage) -> np.ndarray:
     return np.eye(len(_names(stage)), 6) if isinstance(stage, Arm) else struts_with_base(stage)
 
 
-def parameter_jacobian(values: np.ndarray, chain: Chain) -> np.ndarray:
-    """(n, 6, p) change of the last platform's pose (tangent on the right, m and rad) with the parameters, at values (n, axes) m or rad."""
-    poses = mechanism.each(values, chain)
-    return np.concatenate([back @ _own(own, T, stage) for (stage, own), T, back in
-                           zip(mechanism.stages(values, chain), poses, mechanism.beyond(poses))], axis=-1)
+def parameter_jacobian(values: np.ndarray, chain: Chain, upto: int | None = None) -> np.ndarray:
+    """(n, 6, p) change of the last platform's pose (tangent on the right, m and rad) with the parameters, at values (n, axes) m or rad.
+
+    upto : number (from 1) of the stage whose platform is meant in the place of the last; what is above it does not move it
+    """
+    poses = mechanism.each(values, chain)[:upto]
+    own = np.concatenate([back @ _own(own, T, stage) for (stage, own), T, back in
+                          zip(mechanism.stages(values, chain), poses, mechanism.beyond(poses))], axis=-1)
+    return np.pad(own, ((0, 0), (0, 0), (0, len(names(chain)) - own.shape[-1])))
 
 
 def _own(values: np.ndarray, T: RigidTransform, stage: Stage) -> np.ndarray:

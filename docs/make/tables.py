@@ -26,7 +26,8 @@ FILES = {  # what each holds
                    "May be left out.",
     "corners.csv": "Corners of markers as somebody found them in the images. With it the images themselves may be left out.",
     "poses.csv": "Poses of the platform in the base, of an outside instrument or of vision. May be left out. The same columns, with or without "
-                 "`t`, are those of the wanted poses that `rig correct --poses` reads.",
+                 "`t`, are those of the wanted poses that `rig correct --poses` reads. Of a chain, `poses_stage1.csv` .. have those of the bodies "
+                 "that its stages below the last move, in the base.",
 }
 WORDS = {
     "t": "s, increasing; in frames.csv the middle of the exposure of the image's middle row",

@@ -73,6 +73,8 @@ def run(arguments: Namespace) -> None:
     poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
     writing.write_poses(out / "poses.csv", poses)
     writing.write_angles(out / "rpy.csv", poses)
+    for stage, own in measured.stages.items():
+        writing.write_poses(out / f"poses_stage{stage}.csv", recordings.Poses(own.frames, own.T_base_platform, own.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong),
@@ -80,6 +82,10 @@ def run(arguments: Namespace) -> None:
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
     arguments.result = _result(recording, measured, held, uncertainty(measured.covariance))
     print_unsolved(measured)
+    for stage, own in measured.stages.items():
+        position, rotation = uncertainty(own.covariance) if len(own.frames) else (float("nan"), float("nan"))
+        print(f"stage {stage}: {len(own.frames)} of {len(recording.exposures.times()[0])} frames solved, poses to {position * 1e3:.4f} mm and "
+              f"{rotation * 1e3:.4f} mrad: poses_stage{stage}.csv")
     if wrong:
         print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
         for suspect in wrong:

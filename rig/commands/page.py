@@ -26,7 +26,7 @@ class Page:
         self.url = self._server.url
         self._history: list[dict] = []
         self._shown: Seen | None = None
-        self._markers = marker_map(self._design) if self._design.targets else None
+        self._markers = marker_map(self._design.without_stages()) if self._design.targets else None
         self._fixed = fixed_parts(self._design, self._markers)
 
     def __enter__(self) -> "Page":

@@ -219,7 +219,7 @@ def _of_any(arguments: Namespace, design: Design, mechanism: Arm | Chain | Plana
 
     if arguments.calibration or arguments.given or arguments.criterion != "determinant":
         raise RigError("--calibration, --given and --criterion noise are for hexapods")
-    looked = partial(shown, design.cameras, markers=marker_map(design)) if design.cameras and design.targets else None
+    looked = partial(shown, design.cameras, markers=marker_map(design.without_stages())) if design.cameras and design.targets else None
     progress = Progress()
     found = choose(mechanism, arguments.count, arguments.sigma, looked, SEED, lambda done, of: progress("choosing", done, of))
     progress.close()

@@ -46,4 +46,5 @@ class MarkerSwap(Effect):
             order[a], order[b] = b, a
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
         poses = moved(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
-        return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order])
+        return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order],
+                       stage=markers.stage[order])

@@ -70,7 +70,7 @@ def _place(camera: Camera) -> str:
 
 def _target(stream: Any, rr: Any, target: Target) -> None:
     """A cube as a box; of a target that is no cube its markers as thin ones."""
-    body = "base/platform" if target.body == "platform" else "base"
+    body = "base" if target.body == "base" else f"base/{target.body.replace(' ', '_')}"
     boxes = [(target.pose, [target.edge / 2] * 3)] if target.pose is not None and target.edge else [
         (marker.pose, [marker.side / 2, marker.side / 2, 1e-4]) for marker in target.listed]
     for number, (T, half) in enumerate(boxes):

@@ -76,7 +76,7 @@ def _sheet():
     image = cv2.imread(str(SHARED / "photos" / "aruco-250.jpg"), cv2.IMREAD_UNCHANGED)
     height, width = image.shape[:2]
     markers = MarkerMap(np.arange(250), np.zeros(250, bool), RigidTransform.from_matrix(np.tile(np.eye(4), (250, 1, 1))), np.full(250, 0.02),
-                        np.full(250, 0.003), ["DICT_6X6_250"] * 250, ["sheet"] * 250)
+                        np.full(250, 0.003), ["DICT_6X6_250"] * 250, ["sheet"] * 250, np.zeros(250, int))
     camera = Camera("cam0", width, height, [[1.2 * width, 0, width / 2], [0, 1.2 * width, height / 2], [0, 0, 1]], np.zeros(5),
                     RigidTransform.identity())
     found = detect(image, camera, markers)

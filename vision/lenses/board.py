@@ -139,7 +139,8 @@ def _markers(image: np.ndarray, board: Board, camera: Camera) -> BoardView:
     middles = np.pad(board.places() * [1, -1], ((0, 0), (0, 1)))
     gap = (board.pitch - board.side) / 2
     map_ = MarkerMap(np.arange(len(middles)), np.zeros(len(middles), bool), RigidTransform.from_translation(middles),
-                     np.full(len(middles), board.side), np.full(len(middles), gap), [board.dictionary] * len(middles), ["board"] * len(middles))
+                     np.full(len(middles), board.side), np.full(len(middles), gap), [board.dictionary] * len(middles), ["board"] * len(middles),
+                     np.zeros(len(middles), int))
     found = detect(image, camera, map_)
     rows = (found.marker[:, None] * 4 + np.arange(4)).ravel()
     covariance = np.array([found.covariance[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(4)]).reshape(4, -1, 2, 2).swapaxes(0, 1)

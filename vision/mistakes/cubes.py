@@ -26,7 +26,7 @@ def remarks(design: Design) -> tuple[str, ...]:
     """What is to be said of a Design's targets, lengths in mm, angles in degrees; nothing where all is even."""
     if not design.targets:
         return ()
-    found = marker_map(design)
+    found = marker_map(design.without_stages())
     return (*_circles(design), *(text for target in design.targets for text in _faces(target)), *_directions(found), *_cameras(design, found))
 
 

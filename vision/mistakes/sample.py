@@ -53,8 +53,11 @@ class Trial:
 def of(design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES) -> Seen | None:
     """Seen of some frames spread over a recording, of each stretch the one that shows most; None where there are no corners.
 
-    frames : (F,) all frames' numbers; t : (F,) s
+    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside
     """
+    if any(target.stage for target in design.targets):
+        on_stages = [number for target in design.targets if target.stage for number in target.ids]
+        design, corners = design.without_stages(), take(corners, ~np.isin(corners.marker, on_stages))
     if not len(corners.frame):
         return None
     rich = np.bincount(np.searchsorted(frames, corners.frame), minlength=len(frames))

@@ -218,16 +218,19 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
     """
     camera_of = {camera.name: camera for camera in measurement.design.cameras}
     seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
-    matrices = dict(zip(measurement.frames.tolist(), measurement.T_base_platform))
+    bodies = {k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()}
     work = []
     for i, name in enumerate(recording.exposures.image):
         frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
-        if not name or camera is None or frame not in matrices or camera.mount == "moving":
+        if not name or camera is None or camera.mount == "moving":
             continue
-        rows, places = expected(camera, matrices[frame], marker_map)
-        fresh = [k for k, row in enumerate(rows) if (frame, camera.name, int(marker_map.id[row])) not in seen]
-        if fresh:
-            work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
+        for stage, poses in bodies.items():
+            if frame not in poses:
+                continue
+            rows, places = expected(camera, poses[frame], marker_map)
+            fresh = [k for k, row in enumerate(rows) if marker_map.stage[row] == stage and (frame, camera.name, int(marker_map.id[row])) not in seen]
+            if fresh:
+                work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
 
     def one(item: tuple[int, Camera, str, np.ndarray, np.ndarray]) -> Detection:
         frame, camera, name, numbers, places = item

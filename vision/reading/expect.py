@@ -47,10 +47,11 @@ def taught(recording: Recording, corners: Corners, correlation: np.ndarray, repe
     """Expectation from the corners of some frames, searched for in whole images; None where they do not show the rig as stated.
 
     corners, correlation : Corners and (n, 2, 8); repeated : identities that one of those images shows twice
-    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image.
+    What is not as stated (a marker exchanged, turned, printed twice, frames that are not solved) must be looked for in every image, and so must
+    what is on the stages of a chain, one of whose bodies does not say where the others are.
     """
     frames, design = np.unique(corners.frame), recording.design
-    if len(frames) < LEAST or len(repeated):
+    if len(frames) < LEAST or len(repeated) or markers.stage.any():
         return None
     try:
         m = measure(from_corners(corners, frames, design, markers, correlation), design, markers)

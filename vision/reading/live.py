@@ -80,7 +80,7 @@ class Live:
         if not design.cameras or not design.targets:
             raise NotEnoughData(f"measuring takes a camera and a target at least; rig.toml has {len(design.cameras)} and {len(design.targets)}")
         self._held = in_hand(design)
-        design = seen_from(design) if self._held else design
+        design = seen_from(design) if self._held else design.without_stages()
         self.design, self.markers = design, marker_map(design)
         self.cameras = design.cameras
         self.noise: float | None = None
