@@ -37,20 +37,28 @@ class Instrument:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuringLimbs:
-    """Six limbs beside the driving struts that measure their own length (sensors.csv, m1..m6, m) and carry nothing.
+    """Limbs beside the driving struts that measure their own length (sensors.csv, m1..mn, m) and carry nothing: six tell a pose, more check it.
 
-    base_joints : (6, 3) m, base frame; platform_joints : (6, 3) m, platform frame; length_sigma : m, of one reading
-    zeros : (6,) m, what a limb is longer than it reads
+    base_joints : (n, 3) m, base frame; platform_joints : (n, 3) m, platform frame; length_sigma : m, of one reading
+    zeros : (n,) m, what a limb is longer than it reads, 0 where they are left out
     """
 
     base_joints: np.ndarray
     platform_joints: np.ndarray
     length_sigma: float
-    zeros: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    zeros: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name, shape in (("base_joints", (6, 3)), ("platform_joints", (6, 3)), ("zeros", (6,))):
+        n = len(self.base_joints)
+        if not len(self.zeros):
+            object.__setattr__(self, "zeros", np.zeros(n))
+        for name, shape in (("base_joints", (n, 3)), ("platform_joints", (n, 3)), ("zeros", (n,))):
             freeze(self, name, shape)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of their columns in sensors.csv: m1 .."""
+        return tuple(f"m{i + 1}" for i in range(len(self.base_joints)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,7 +174,10 @@ def _platform(table: Entries) -> Platform:
 
 def _limbs(table: Entries) -> MeasuringLimbs:
     table.refuse_misspelt(("base_joints", "platform_joints", "length_sigma"))
-    base, platform = (table.array(name, (6, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints"))
+    base, platform = (table.array(name, (None, 3), length_limit=LARGEST_RIG) for name in ("base_joints", "platform_joints"))
+    if len(base) != len(platform) or not len(base):
+        table.fail(f"{table.name('platform_joints')} must have a row for each of the {len(base)} limbs of base_joints, got {len(platform)}",
+                   "platform_joints")
     return MeasuringLimbs(base, platform, table.number("length_sigma", above=0, most=0.1, unit="m"))
 
 

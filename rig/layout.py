@@ -12,11 +12,11 @@ STROKE_SHARE = 0.33  # of the base's radius
 
 
 def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 1024, cubes: int = 4, dictionary: str = "DICT_5X5_100",
-           name: str = "hexapod", limbs: bool = False) -> str:
+           name: str = "hexapod", limbs: int = 0) -> str:
     """Text of a rig.toml.
 
     radius : m, of the circle of base joints; cameras : how many, evenly around; width, height : px
-    limbs : whether six measuring limbs stand beside the struts
+    limbs : how many measuring limbs stand beside the struts
     cubes : how many on the base and as many on the platform, each face with an identity of its own
     Raises RigError where the dictionary has too few identities or the figures make no rig.
     """
@@ -35,9 +35,9 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
              "[platform]", f"mass = {450 * radius**3:.4g}   # kg", f"centre_of_mass = [0.0, 0.0, {0.07 * radius:.4g}]   # m, platform frame",
              f"payload_centre_of_mass = [0.0, 0.0, {0.4 * radius:.4g}]"]
     if limbs:
-        lines += ["", "[insitu]", f"base_joints = {rows(_joints(radius * 1.1, LIMB_PAIRS[0], 0.0))}   # m, base frame, limb 1..6",
-                  f"platform_joints = {rows(_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], 0.0))}   # m, platform frame",
-                  "length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m6)"]
+        lines += ["", "[insitu]", f"base_joints = {rows(_limb_joints(radius * 1.1, LIMB_PAIRS[0], limbs))}   # m, base frame, limb 1..{limbs}",
+                  f"platform_joints = {rows(_limb_joints(radius * PLATFORM_SHARE * 0.9, LIMB_PAIRS[1], limbs))}   # m, platform frame",
+                  f"length_sigma = 1e-6   # m, of one reading (sensors.csv, m1..m{limbs})"]
     lines += camera_lines(np.array([0, 0, 0.45 * home[2]]), radius, cameras, width, height)
     edge_platform, edge_base = 0.62 * radius / np.sqrt(cubes), 0.7 * radius / np.sqrt(cubes)
     lines += rings(cubes, dictionary, Ring(np.array([0, 0, edge_platform / 2]), 0.45 * radius, edge_platform, 0.35),
@@ -48,3 +48,9 @@ def layout(radius: float, cameras: int = 3, width: int = 1280, height: int = 102
 def _joints(radius: float, half_angle: float, turn: float) -> np.ndarray:
     angles = [turn + 2 * np.pi * k / 3 + side * half_angle for k in range(3) for side in (-1, 1)]
     return radius * np.array([[np.cos(a), np.sin(a), 0.0] for a in angles])
+
+
+def _limb_joints(radius: float, half_angle: float, count: int) -> np.ndarray:
+    """(count, 3) m of measuring limbs: three pairs as struts have them; those beyond six stand inside, each pair turned on from the last."""
+    rounds = [_joints(radius * 0.8**k, half_angle, k * (half_angle + 0.5)) for k in range((count + 5) // 6)]
+    return np.concatenate(rounds)[:count]

@@ -20,7 +20,7 @@ import numpy as np
 from rig.errors import FileError
 from rig.files.made import digest, load
 from rig.pose import vector
-from rig.recording import LIMBS, Recording
+from rig.recording import LIMB, Recording
 
 LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
 Marks = dict[int, frozenset[str]]  # of each frame that has any
@@ -91,11 +91,12 @@ def _poses(recording: Recording) -> list[tuple[int, str]]:
 
 def _limbs(recording: Recording) -> list[tuple[int, str]]:
     log = recording.sensors
-    if log is None or set(LIMBS) - set(log.channels):
+    names = sorted((name for name in log.channels if LIMB.fullmatch(name)), key=lambda name: int(name[1:])) if log is not None else []
+    if log is None or not names:
         return []
     frames, t = recording.exposures.times()
     within = (log.t[0] <= t) & (t <= log.t[-1])
-    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in LIMBS], axis=1)
+    lengths = np.stack([np.interp(t[within], log.t, log.channels[name]) for name in names], axis=1)
     return [(frame, _mark("limbs", [f"{value:.8f}" for value in row])) for frame, row in zip(frames[within].tolist(), lengths)]
 
 

@@ -1,5 +1,6 @@
 """A recording folder <-> arrays: what the rig did and what was seen of it, all outside data checked here."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from rig.observed import Corners, Poses, load_corners, load_measured, load_poses
 from rig.origin import Origin, decimal
 from rig.table import Table
 
-LIMBS = tuple(f"m{i + 1}" for i in range(6))  # channels of measuring limbs, m, read only where there are rows about an exposure
+LIMB = re.compile(r"m[1-9]\d*")  # a channel of a measuring limb, m, read only where there are rows about an exposure
 PAYLOAD = "payload_mass_kg"  # channel of sensors.csv, column of a plan in time: what the platform carries
 LAST_DWELL = 0.25  # share of frames that may follow the last command, in its dwell, before the file counts as cut off
 
@@ -228,7 +229,7 @@ def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None
         return None
     rows = table.read(path, ("t",))
     sensors = _sensor_rows(rows, origin)
-    if set(sensors.channels) - set(LIMBS):
+    if not all(LIMB.fullmatch(name) for name in sensors.channels):
         _covers(rows, sensors.t, exposures, origin)
     return sensors
 

@@ -65,10 +65,10 @@ class Eyes:
         if limbs is None:
             return log
         self._count += 1
-        noise = limbs.length_sigma * np.random.default_rng([self._seed, self._count]).normal(size=6)
+        noise = limbs.length_sigma * np.random.default_rng([self._seed, self._count]).normal(size=len(limbs.channels))
         legs = transform_points(now.run.T_base_platform, limbs.platform_joints)[0] - limbs.base_joints
         read = np.linalg.norm(legs, axis=-1) - limbs.zeros + noise
-        return log | {f"m{i + 1}": float(value) for i, value in enumerate(read)}
+        return log | dict(zip(limbs.channels, read.tolist()))
 
     def _now(self, t: float) -> Simulation:
         """The machine at t (s), after all that its struts have done."""

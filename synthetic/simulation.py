@@ -17,7 +17,7 @@ from rig.kinds import axes_of
 from rig.observed import DISTANCE, POSE_COLUMNS
 from rig.plan import Plan, logged
 from rig.pose import exp, transform_points, vector
-from rig.recording import LIMBS, Corners, Sensors
+from rig.recording import LIMB, Corners, Sensors
 from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
@@ -77,10 +77,10 @@ def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: S
 def _with_limbs(log: Sensors, t: np.ndarray, T: RigidTransform, limbs: MeasuringLimbs, rng: np.random.Generator) -> Sensors:
     """The log with the measuring limbs' readings at exposures t (n,) s, a row for each."""
     legs = transform_points(T, limbs.platform_joints) - limbs.base_joints
-    read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=(len(t), 6))
+    read = np.linalg.norm(legs, axis=-1) - limbs.zeros + limbs.length_sigma * rng.normal(size=legs.shape[:2])
     rows = np.union1d(log.t, t)
     channels = {name: np.interp(rows, log.t, values) for name, values in log.channels.items()}
-    return Sensors(rows, channels | {f"m{i + 1}": np.interp(rows, t, read[:, i]) for i in range(6)})
+    return Sensors(rows, channels | {name: np.interp(rows, t, own) for name, own in zip(limbs.channels, read.T)})
 
 
 def sight(simulation: Simulation, steepest: float = STEEPEST) -> tuple[Sightings, np.ndarray]:
@@ -173,8 +173,9 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
                   for name in ([c.name for c in cameras] or [""])])
     log = simulation.log
     if log.channels:
+        digits = {name: 8 if LIMB.fullmatch(name) else 3 for name in log.channels}
         write_table(out / "sensors.csv", ("t", *log.channels), [f"{shown[t]}," + ",".join(
-            f"{values[i]:.8f}" if name in LIMBS else f"{values[i]:.3f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
+            f"{values[i]:.{digits[name]}f}" for name, values in log.channels.items()) for i, t in enumerate(log.t)])
     instrument, looks = simulation.world.stated.instrument, bool(cameras and simulation.world.stated.targets)
     if instrument is not None or not looks:
         write_measured(out / "poses.csv", simulation.run.T_base_platform, instrument or EXACT, rng)

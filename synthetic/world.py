@@ -42,9 +42,10 @@ def draw(stated: Design, rng: np.random.Generator, size: float = 1.0, effects: I
     true = replace(stated, mechanism=m, cameras=tuple(_camera(camera, rng, size) for camera in stated.cameras))
     limbs = stated.insitu
     if limbs is not None:
-        off = size * LIMB * rng.normal(size=42)
-        true = replace(true, insitu=replace(limbs, base_joints=limbs.base_joints + off[:18].reshape(6, 3),
-                                            platform_joints=limbs.platform_joints + off[18:36].reshape(6, 3), zeros=limbs.zeros + off[36:]))
+        n = len(limbs.channels)
+        off = np.split(size * LIMB * rng.normal(size=7 * n), [3 * n, 6 * n])
+        true = replace(true, insitu=replace(limbs, base_joints=limbs.base_joints + off[0].reshape(n, 3),
+                                            platform_joints=limbs.platform_joints + off[1].reshape(n, 3), zeros=limbs.zeros + off[2]))
     return World(stated, true, tuple(effects))
 
 

@@ -69,7 +69,7 @@ def limbed(tmp_path_factory):
     """(Design, Recording, its Simulation) of a rig with measuring limbs that went along and about every axis; the folder holds a second
     recording of the same machine, "again", another day."""
     folder = tmp_path_factory.mktemp("limbs")
-    text = layout.layout(0.3, limbs=True)
+    text = layout.layout(0.3, limbs=6)
     (folder / "rig.toml").write_text(text)
     design = design_file.load(folder / "rig.toml")
     rng = np.random.default_rng(2)

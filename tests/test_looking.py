@@ -113,7 +113,7 @@ class Told:
 
 def by_limbs(folder, slip, at):
     """(Looking that has seen 60 frames by limbs of which the fifth slips by `slip` m from a frame on, its Live, what was withdrawn)"""
-    (folder / "rig.toml").write_text(layout.layout(0.3, limbs=True))
+    (folder / "rig.toml").write_text(layout.layout(0.3, limbs=6))
     design = design_file.load(folder / "rig.toml")
     true, nominal, rng = design.mechanism, insitu.stated(design), np.random.default_rng(5)
     commands = low_discrepancy(true.strut_range, 60, 0.6)

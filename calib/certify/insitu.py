@@ -1,16 +1,18 @@
-"""Six measuring limbs beside the struts: the platform's pose from their lengths, held against vision before it is believed.
+"""Measuring limbs beside the struts: the platform's pose from six lengths, held against vision before it is believed; more limbs check it.
 
 The limbs' own joints and zeros are found as the struts' are, from poses that vision measured. Agreement is judged on poses that were
 not used for that: bias, scatter, and limits of agreement, axis by axis, against a tolerance that is stated. Sources: the
 on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986 (limits of agreement).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify import limb_closure
+from calib.certify.limb_closure import Checks
 from calib.identify.geometry import Identified, identify, pose_jacobian
 from calib.samples import Samples, blocks
 from rig.design import Design, Hexapod, MeasuringLimbs
@@ -18,7 +20,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.kinds import hexapod_of
 from rig.mechanisms import hexapod as mechanism
 from rig.pose import difference, vector
-from rig.recording import LIMBS as CHANNELS, Recording
+from rig.recording import Recording
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 LONGEST_GAP = 0.5  # s; readings further apart about an exposure say nothing of it
@@ -55,15 +57,18 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limbs:
-    """A measuring rig that can be read: hexapod : Hexapod of its limbs; covariance : (42, 42) m^2 of that; sigma : (6,) m of a reading"""
+    """A measuring rig that can be read: hexapod : Hexapod of the six limbs that tell poses; covariance : (42, 42) m^2 of that; sigma : (6,) m of
+    a reading; chosen : (6,) their numbers among all limbs, from 0; checks : Checks, the others, or None where nobody has fitted them"""
 
     hexapod: Hexapod
     covariance: np.ndarray
     sigma: np.ndarray
+    chosen: np.ndarray = field(default_factory=lambda: np.arange(6))
+    checks: Checks | None = None
 
     def pose(self, lengths: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
-        """T_base_platform (...) of readings (..., 6) m. Raises NotConverged like the mechanism."""
-        return mechanism.forward(lengths, self.hexapod, guess)
+        """T_base_platform (...) of readings (..., limbs) m. Raises NotConverged like the mechanism."""
+        return mechanism.forward(np.asarray(lengths)[..., self.chosen], self.hexapod, guess)
 
     def uncertainty(self, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
         """(own (..., 6, 6) covariance of a pose's readings, common (..., 6, 42) factor of what the limbs' geometry adds to all poses)."""
@@ -75,35 +80,41 @@ class Limbs:
 
 def length_sigma(design: Design) -> float:
     """m, standard deviation of a limb's reading as rig.toml has it. Raises RigError for a rig without [insitu]."""
-    return _limbs(design).length_sigma
+    return measuring(design).length_sigma
 
 
-def _limbs(design: Design) -> MeasuringLimbs:
+def measuring(design: Design) -> MeasuringLimbs:
+    """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
     if design.insitu is None:
         raise RigError("rig.toml has no [insitu] table with the measuring limbs' base_joints, platform_joints and length_sigma")
     return design.insitu
 
 
-def stated(design: Design) -> Hexapod:
-    """Hexapod of the limbs as rig.toml has them. Raises RigError for a rig without [insitu] or that is no hexapod."""
-    limbs = _limbs(design)
+def stated(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
+    """Hexapod of six of the limbs as rig.toml has them. chosen : (6,) their numbers, from 0, the first six by default
+
+    Raises RigError for a rig without [insitu], with fewer than six limbs, or that is no hexapod
+    """
+    limbs = measuring(design)
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    home = design.mechanism.home
-    length = np.linalg.norm(home.apply(np.array(limbs.platform_joints)) - limbs.base_joints, axis=1)
-    return Hexapod(limbs.base_joints, limbs.platform_joints, np.stack([0.2 * length, 3 * length], axis=1), home, limbs.zeros)
+    limb_closure.refuse_few(limbs)
+    home, six = design.mechanism.home, np.arange(6) if chosen is None else chosen
+    base, platform = limbs.base_joints[six], limbs.platform_joints[six]
+    length = np.linalg.norm(home.apply(platform) - base, axis=1)
+    return Hexapod(base, platform, np.stack([0.2 * length, 3 * length], axis=1), home, limbs.zeros[six])
 
 
 def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """(frames (f,), lengths (f, 6) m): what the limbs read at the exposures that have readings about them.
+    """(frames (f,), lengths (f, limbs) m): what the limbs read at the exposures that have readings about them.
 
     Raises RigError where sensors.csv lacks a channel, NotEnoughData where no exposure has readings within half a second
     """
-    sensors = recording.sensors
-    told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns m1..m6 (m); "
+    sensors, channels = recording.sensors, measuring(recording.design).channels
+    told = f"{recording.folder}: measuring limbs are read from sensors.csv, columns {channels[0]}..{channels[-1]} (m); "
     if sensors is None:
         raise RigError(told + "there is no sensors.csv")
-    missing = [name for name in CHANNELS if name not in sensors.channels]
+    missing = [name for name in channels if name not in sensors.channels]
     if missing:
         raise RigError(told + f"{missing[0]!r} is missing")
     frames, t = recording.exposures.times()
@@ -112,11 +123,11 @@ def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     good = exact | ((sensors.t[after] - sensors.t[after - 1] <= LONGEST_GAP) & (sensors.t[0] <= t) & (t <= sensors.t[-1]))
     if not good.any():
         raise NotEnoughData(f"{recording.folder}: none of {len(t)} exposures has readings of the limbs within {LONGEST_GAP:g} s before and after it")
-    return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in CHANNELS], axis=1)
+    return frames[good], np.stack([np.interp(t[good], sensors.t, sensors.channels[name]) for name in channels], axis=1)
 
 
 def read(samples: Samples, frames: np.ndarray, lengths: np.ndarray) -> Samples:
-    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `readings` gives them.
+    """Samples whose commands are the limbs' readings. samples : Samples by vision; frames (f,), lengths (f, 6) m : as `readings` gives them, of six.
 
     Raises NotEnoughData where no frame has both
     """

@@ -20,7 +20,8 @@ LEAST = 3  # poses on either side of a step
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """limb : 1..6; frame : number of the first one after it; size, sigma : m by which the limb is longer than it reads since."""
+    """limb : 1..6, of the six that tell the pose
+    frame : number of the first one after it; size, sigma : m by which the limb is longer than it reads since."""
 
     limb: int
     frame: int
@@ -33,7 +34,7 @@ def slip(samples: Samples, limbs: Limbs, sigma: float) -> Slip | None:
 
     limbs : Limbs as fitted to these; sigma : m of one reading, as stated
     """
-    n, of = len(samples), redundant.legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))])
+    n, of = len(samples), redundant.legs([("m", limbs.hexapod, np.full(6, sigma), np.zeros((42, 42)))], limbs.hexapod.home)
     if n < 2 * LEAST:
         return None
     told, J, _ = redundant.rows(of, samples.T_base_platform)

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify import limb_closure
 from calib.online.limb_check import Disagreement, LimbCheck
 from calib.online.limb_source import LOOKS
 from calib.online.limbs_file import Accepted
@@ -14,14 +15,22 @@ class LimbLive:
     def __init__(self, accepted: Accepted, every: int) -> None:
         self.accepted, self.in_force = accepted, True
         self._checks, self._every, self._number, self._looks = LimbCheck(accepted.limbs), every, 0, 0
+        self._last: list[np.ndarray] = []
 
     def pose(self, lengths: np.ndarray) -> tuple[RigidTransform, np.ndarray, np.ndarray]:
-        """(T_base_platform, own (6, 6), common (6, 42)) of readings (6,) m; own : covariance, common : factor of what all poses share, m and rad.
+        """(T_base_platform, own (6, 6), common (6, 42)) of readings (limbs,) m; own : covariance, common : factor of what all poses share, m and rad.
 
         Raises NotConverged for readings that close on no pose
         """
         T = self.accepted.limbs.pose(lengths)
         return T, *self.accepted.limbs.uncertainty(T)
+
+    def closes(self, lengths: np.ndarray) -> Disagreement | None:
+        """What limbs beyond six say of readings (limbs,) m and those before; where they disagree, limbs are out of force. Raises as `pose`"""
+        self._last = [*self._last[1 - limb_closure.IN_A_ROW :], lengths]
+        open_ = limb_closure.first(self.accepted.limbs, np.array(self._last))
+        self.in_force = open_ is None
+        return None if open_ is None else Disagreement(str(open_), open_.limb, limb_closure.WHO)
 
     def due(self, unsure: bool) -> bool:
         """Whether vision looks at the pose in hand, once for each pose. unsure : whether the struts tell otherwise than the limbs"""
@@ -31,7 +40,7 @@ class LimbLive:
         return now
 
     def check(self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> Disagreement | None:
-        """What vision's pose with its covariance (6, 6), m and rad, says of limbs that read lengths (6,) m; where it disagrees they are out
+        """What vision's pose with its covariance (6, 6), m and rad, says of limbs that read lengths (limbs,) m; where it disagrees they are out
         of force."""
         found = self._checks.take(lengths, T_base_platform, covariance)
         self.in_force = found is None

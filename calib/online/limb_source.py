@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import insitu
+from calib.certify import insitu, limb_closure
 from calib.online.filter import Online
 from calib.online.limb_check import Disagreement, LimbCheck
 from calib.online.limbs_file import Accepted
@@ -28,7 +28,7 @@ SOURCE = "measuring limbs"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbPoses:
-    """What limbs told of f frames. frames : (f,); lengths : (f, 6) m read; T_base_platform : RigidTransform (f,)
+    """What limbs told of f frames. frames : (f,); lengths : (f, limbs) m read; T_base_platform : RigidTransform (f,)
     own : (f, 6, 6) covariance of each pose's readings; common : (f, 6, 42) factor of what the limbs' geometry adds to all"""
 
     frames: np.ndarray
@@ -54,7 +54,10 @@ class Checked:
 
 
 def read(recording: Recording, accepted: Accepted) -> LimbPoses:
-    """LimbPoses of the frames whose exposures have readings. Raises as insitu.readings does, NotConverged for readings that close on no pose."""
+    """LimbPoses of the frames whose exposures have readings, by the limbs that tell poses, the others left to `check`.
+
+    Raises as insitu.readings does, NotConverged for readings that close on no pose
+    """
     frames, lengths = insitu.readings(recording)
     T = accepted.limbs.pose(lengths)
     return LimbPoses(frames, lengths, T, *accepted.limbs.uncertainty(T))
@@ -80,10 +83,14 @@ def looked_at(found: Samples, nominal: Hexapod, every: int) -> np.ndarray:
 
 def check(recording: Recording, accepted: Accepted, poses: LimbPoses, every: int,
           progress: Callable[[str, int, int], None] | None = None) -> Checked:
-    """Checked by vision, every so many poses at least, up to the first disagreement; only the images of those frames are read.
+    """Checked by limbs beyond six at every pose, and by vision, every so many poses at least, up to the first disagreement; only the images of
+    those frames are read.
 
     Raises what measuring raises
     """
+    open_ = limb_closure.first(accepted.limbs, poses.lengths)
+    if open_ is not None:
+        return Checked(0, int(poses.frames[open_.at]), Disagreement(str(open_), open_.limb, limb_closure.WHO))
     if recording.corners is None and not recording.has_images:
         return Checked(0, None, None)
     look = np.arange(len(poses.frames)) % every == 0

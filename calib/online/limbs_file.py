@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.insitu import Agreement, Limbs, stated
+from calib.certify.insitu import Agreement, Limbs, measuring, stated
+from calib.certify.limb_closure import Checks
 from calib.store import covariance_in, mechanism_in, mechanism_out
 from rig import json_file
 from rig.design import Design, Hexapod
@@ -54,7 +55,7 @@ def save(path: Path | str, found: Accepted) -> None:
     a, w = found.agreement, found.withdrawn
     tree = {"schema": SCHEMA, "units": UNITS, "verdict": found.verdict, "tolerance": a.tolerance.tolist(),
             "stated": mechanism_out(found.nominal), "limbs": mechanism_out(found.limbs.hexapod), "covariance": found.limbs.covariance.tolist(),
-            "reading_sigma": found.limbs.sigma.tolist(),
+            "reading_sigma": found.limbs.sigma.tolist(), "chosen": (found.limbs.chosen + 1).tolist(), "checks": _checks_out(found.limbs.checks),
             "agreement": {"n": a.n, "bias": a.bias.tolist(), "scatter": a.scatter.tolist(), "limits": a.limits.tolist(), "surely": a.surely.tolist(),
                           "expected": a.expected.tolist(), "moved": a.moved.tolist()},
             "withdrawn": None if w is None else {"recording": w.recording, "frame": w.frame, "reason": w.reason, "created": w.created},
@@ -71,7 +72,10 @@ def load(path: Path | str) -> Accepted:
     if not (sigma > 0).all():
         tree.fail(f"reading_sigma must be positive, got {sigma.tolist()}", "reading_sigma")
     parts = {name: table.array(name, (2, 6) if name == "limits" else (6,)) for name in ("bias", "scatter", "limits", "surely", "expected", "moved")}
-    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma), nominal,
+    chosen = np.arange(6) if "chosen" not in tree.tree else tree.array("chosen", (6,)).astype(int) - 1
+    if len(set(chosen.tolist())) != 6 or chosen.min() < 0:
+        tree.fail(f"chosen must be six different limbs, counted from 1, got {(chosen + 1).tolist()}", "chosen")
+    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, _checks_in(tree)), nominal,
                      Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), **parts), _withdrawal(tree),
                      dict(tree.table("provenance").tree))
     verdict = tree.text("verdict", VERDICTS)
@@ -83,7 +87,12 @@ def load(path: Path | str) -> Accepted:
 def in_force(path: Path | str, design: Design) -> Accepted:
     """Accepted of a limbs.json whose limbs may stand for vision on a rig. Raises RigError where they were refused, where their acceptance was
     withdrawn, and where rig.toml states other limbs."""
-    found, other = load(path), stated(design)
+    found = load(path)
+    limbs, six = measuring(design), found.limbs.chosen
+    spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
+    if len(limbs.channels) != len(six) + spare or six.max() >= len(limbs.channels):
+        raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of {len(limbs.channels)}")
+    other = stated(design, six)
     if found.verdict == "refused":
         raise RigError(f"{path}: these limbs did not pass when they were held against vision; `rig insitu` says by how much")
     if found.withdrawn is not None:
@@ -94,7 +103,7 @@ def in_force(path: Path | str, design: Design) -> Accepted:
         apart = np.abs(getattr(other, name) - getattr(found.nominal, name)).reshape(6, -1).max(axis=1)
         if apart.max() > SAME:
             limb = int(apart.argmax())
-            raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: {name} of limb {limb + 1} differs by "
+            raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: {name} of limb {six[limb] + 1} differs by "
                            f"{apart[limb] * 1e3:.6g} mm")
     return found
 
@@ -118,8 +127,25 @@ def ours(path: Path) -> bool:
 def _hexapod(tree: Entries, key: str) -> Hexapod:
     found = mechanism_in(tree.table(key))
     if not isinstance(found, Hexapod):
-        tree.fail(f"{key} is a mechanism of kind {found.kind!r}; measuring limbs are six, as those of a hexapod", key)
+        tree.fail(f"{key} is a mechanism of kind {found.kind!r}; limbs that tell poses are six, as those of a hexapod", key)
     return found
+
+
+def _checks_out(checks: Checks | None) -> list[dict[str, Any]]:
+    """The limbs beyond six, one by one."""
+    if checks is None:
+        return []
+    return [{"limb": int(i) + 1, "base_joint": checks.base[k].tolist(), "platform_joint": checks.platform[k].tolist(), "zero": float(checks.zeros[k]),
+             "covariance": checks.covariance[k].tolist(), "reading_sigma": float(checks.sigma[k])} for k, i in enumerate(checks.limbs)]
+
+
+def _checks_in(tree: Entries) -> Checks | None:
+    rows = tree.tables("checks") if "checks" in tree.tree else []
+    if not rows:
+        return None
+    return Checks(np.array([row.whole("limb", 1) - 1 for row in rows]), np.array([row.array("base_joint", (3,)) for row in rows]),
+                  np.array([row.array("platform_joint", (3,)) for row in rows]), np.array([row.number("zero") for row in rows]),
+                  np.array([covariance_in(row, 7, "covariance") for row in rows]), np.array([row.number("reading_sigma", above=0) for row in rows]))
 
 
 def _withdrawal(tree: Entries) -> Withdrawal | None:

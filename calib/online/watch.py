@@ -1,12 +1,12 @@
 """Poses learnt as a run takes them: what the machine is by now, what jumped, and whether it drifts from its calibration."""
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify import insitu
+from calib.certify import insitu, limb_closure
 from calib.correct.correction import Correction
 from calib.online.change_detection import Change
 from calib.online.filter import Online
@@ -93,23 +93,25 @@ class LimbWatch:
     """Measuring limbs read as a run goes: once they are known from enough poses, every further one must agree with vision."""
 
     def __init__(self, design: Design) -> None:
-        self._nominal = insitu.stated(design)
-        assert design.insitu is not None  # or there had been an error
-        self._sigma = design.insitu.length_sigma
+        self._design, self._stated = design, insitu.measuring(design)
+        self._home = insitu.stated(design).home
+        self.channels = self._stated.channels
         self._read: list[tuple[np.ndarray, RigidTransform, np.ndarray]] = []
         self._limbs: insitu.Limbs | None = None
         self._agreed = True
 
     def take(self, lengths: np.ndarray, T_base_platform: RigidTransform, covariance: np.ndarray) -> bool:
-        """Whether limbs that read lengths (6,) m newly disagree with vision's pose and its covariance (6, 6)."""
+        """Whether limbs that read lengths (limbs,) m newly disagree with vision's pose and its covariance (6, 6)."""
         if self._limbs is None:
             self._read.append((lengths, T_base_platform, covariance))
             if len(self._read) == insitu.FEWEST:
                 n = np.arange(insitu.FEWEST)
                 read, poses, covariances = zip(*self._read)
-                samples = Samples(n, n.astype(float), np.array(read), RigidTransform.concatenate(poses), np.array(covariances),
-                                  np.zeros((insitu.FEWEST, 6, 0)))
-                self._limbs = insitu.calibrated(samples, self._nominal, self._sigma)[0]
+                T = RigidTransform.concatenate(poses)
+                chosen = limb_closure.best(self._stated, self._home, T)
+                samples = Samples(n, n.astype(float), np.array(read)[:, chosen], T, np.array(covariances), np.zeros((insitu.FEWEST, 6, 0)))
+                limbs, _ = insitu.calibrated(samples, insitu.stated(self._design, chosen), self._stated.length_sigma)
+                self._limbs = replace(limbs, chosen=chosen)
             return False
         T = self._limbs.pose(lengths)
         own, common = self._limbs.uncertainty(T)

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.certify.held_poses import REST, HeldPoses
 from rig.design import Arm, Hexapod
-from rig.recording import LIMBS, Recording
+from rig.recording import LIMB, Recording
 
 PAYLOAD = "payload_mass_kg"
 
@@ -60,7 +60,7 @@ def conditions(poses: HeldPoses, recordings: Sequence[Recording], sources: Seque
     logged: dict[str, list[np.ndarray]] = {}
     for k, recording in enumerate(recordings):
         for name in recording.sensors.channels if recording.sensors is not None else ():
-            if name not in LIMBS and recording.sensors is not None:
+            if not LIMB.fullmatch(name) and recording.sensors is not None:
                 logged.setdefault(name, []).append(recording.sensors.at(poses.t[poses.recording == k], name))
     channels = tuple((name, float(np.concatenate(v).min()), float(np.concatenate(v).max())) for name, v in logged.items())
     payload = next(((low, high) for name, low, high in channels if name == PAYLOAD), None)

@@ -145,7 +145,7 @@ def _limits(least: float | None, most: float | None, above: float | None, unit: 
 
 def samples() -> list[dict[str, Any]]:
     """Rigs as tables, which between them state everything that the reader asks for."""
-    whole = tomllib.loads(layout.layout(0.3, cameras=1, cubes=1, limbs=True))
+    whole = tomllib.loads(layout.layout(0.3, cameras=1, cubes=1, limbs=6))
     whole["camera"][0] |= {"shutter": "rolling", "row_time": 1e-5, "source": "uvc:0", "mount": "fixed"}
     whole["controller"] = {"protocol": "grblhal", "port": "/dev/ttyACM0", "max_speed": 0.01}
     whole["sensors"] = {"port": "/dev/ttyUSB1", "channels": ["ambient_temperature_C"]}

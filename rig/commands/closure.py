@@ -21,7 +21,7 @@ STRANGE = 5.0  # standard deviations, RMS over the poses, beyond which a closure
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser, "with measuring limbs beside its struts (m1..m6 in sensors.csv and [insitu] in rig.toml)")
+    add_recording(parser, "with measuring limbs beside its struts (m1..mn in sensors.csv and [insitu] in rig.toml)")
     parser.add_argument("--use", metavar="LEGS", help="the six legs that tell the pose, as l1,l2,l3,m4,m5,m6; by default the six that tell it best")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="struts as calibrated, not as rig.toml has them")
     parser.add_argument("--limbs", metavar="FILE", type=Path, help="limbs as `rig insitu` found them, not as rig.toml has them")
@@ -41,7 +41,7 @@ def run(arguments: Namespace) -> int:
     recording = read_recording(arguments)
     out = arguments.outputs.file(arguments.out) if arguments.out else None
     of, frames, read = _legs(arguments, recording)
-    first = np.arange(6, 12)  # the limbs tell where the platform was, well enough to choose by
+    first = np.arange(6, 12) if len(of.names) >= 12 else np.arange(6)  # limbs tell best where the platform was, well enough to choose by
     chosen = _chosen(arguments.use, of) if arguments.use else redundant.best_six(of, redundant.closures(of, read, first).T_base_platform)
     found = redundant.closures(of, read, chosen)
     _tell(of, found, frames, chosen, bool(arguments.use))
@@ -56,30 +56,30 @@ def run(arguments: Namespace) -> int:
 
 
 def _legs(arguments: Namespace, recording: Recording) -> tuple[Legs, np.ndarray, np.ndarray]:
-    """(Legs of struts and limbs, frames (n,), lengths (n, 12) m as commanded and read)."""
+    """(Legs of struts and limbs, frames (n,), lengths (n, legs) m as commanded and read)."""
     import numpy as np
 
     from calib import store
-    from calib.certify import insitu
+    from calib.certify import insitu, limb_closure
     from calib.online import limbs_file
     from rig.kinds import hexapod_of
     from rig.mechanisms import redundant
 
-    stated, sigma = insitu.stated(recording.design), insitu.length_sigma(recording.design)
+    machine, stated = hexapod_of(recording.design.mechanism), insitu.measuring(recording.design)
     frames, lengths = insitu.readings(recording)
+    n = len(stated.channels)
     every, _, values = recording.commanded()
     commanded = values[np.searchsorted(every, frames)]
-    struts = ("l", hexapod_of(recording.design.mechanism), np.full(6, EXACT), np.zeros((42, 42)))
-    limbs = ("m", stated, np.full(6, sigma), np.zeros((42, 42)))
+    struts = ("l", machine, np.full(6, EXACT), np.zeros((42, 42)))
+    limbs = ("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))
     if arguments.calibration is not None:
         calibration = store.load(arguments.calibration)
         calibration.refuse_physics("closing legs")
         struts = ("l", hexapod_of(calibration.correction.fitted), np.hypot(calibration.scatter, EXACT), calibration.covariance)
         commanded = commanded - calibration.correction.rho(commanded)
     if arguments.limbs is not None:
-        found = limbs_file.load(arguments.limbs).limbs
-        limbs = ("m", found.hexapod, found.sigma, found.covariance)
-    return redundant.legs([struts, limbs]), frames, np.hstack([commanded, lengths])
+        limbs = ("m", *limb_closure.whole(limbs_file.load(arguments.limbs).limbs, stated))
+    return redundant.legs([struts, limbs], machine.home), frames, np.hstack([commanded, lengths])
 
 
 def _chosen(text: str, of: Legs) -> np.ndarray:

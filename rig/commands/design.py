@@ -18,7 +18,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
     parser.add_argument("--dictionary", default="DICT_5X5_100")
-    parser.add_argument("--limbs", action="store_true", help="with six measuring limbs beside the struts")
+    parser.add_argument("--limbs", nargs="?", type=int, const=6, default=0, metavar="N", help="with N measuring limbs beside the struts (six where "
+                        "no N is given; more are checks)")
     parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     add_force(parser)
@@ -38,6 +39,8 @@ def run(arguments: Namespace) -> None:
         raise RigError("--seen is of an arm; give it with --arm")
     size = _size(arguments.size)
     kind = arguments.mechanism or "hexapod"
+    if arguments.limbs < 0:
+        raise RigError(f"--limbs takes a number of limbs, not {arguments.limbs}")
     if arguments.limbs and kind != "hexapod":
         raise RigError(f"--limbs stand beside a hexapod's struts; a {kind} has none")
     figures = (arguments.radius, arguments.cameras, *size, arguments.cubes, arguments.dictionary, arguments.name or kind)

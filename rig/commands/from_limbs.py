@@ -63,23 +63,25 @@ def poses(arguments: Namespace, recording: Recording, progress: Progress) -> tup
     progress.close()
     if checked.disagreement is not None and checked.frame is not None:
         withdraw(arguments.limbs, accepted, str(recording.folder), checked.frame, checked.disagreement.reason)
-        raise RigError(f"frame {checked.frame}: {checked.disagreement.reason}. Vision no longer agrees with the measuring limbs: their acceptance is "
-                       f"withdrawn in {arguments.limbs}, and nothing was computed; without --limbs vision measures")
-    print(f"{len(found.frames)} poses from the measuring limbs; " + (f"vision looked at {checked.count} of them and agrees" if checked.count else
-                                                                      "the recording has nothing for vision to look at, so that none was checked"))
+        raise RigError(f"frame {checked.frame}: {checked.disagreement.reason}. {checked.disagreement.who}: their acceptance is withdrawn "
+                       f"in {arguments.limbs}, and nothing was computed; without --limbs vision measures")
+    spare = 0 if accepted.limbs.checks is None else len(accepted.limbs.checks.limbs)
+    told = f", at each of which {spare} more limb{'s close' if spare > 1 else ' closes'}" if spare else ""
+    print(f"{len(found.frames)} poses from the measuring limbs{told}; " + (
+        f"vision looked at {checked.count} of them and agrees" if checked.count else
+        "the recording has nothing for vision to look at, so that none was checked by it"))
     return found, accepted
 
 
 def in_force(arguments: Namespace, design: Design) -> Accepted:
     """Limbs that stand for vision in a run, which reads them. Raises RigError where they do not, and where vision is not to check them."""
     from calib.online import limbs_file
-    from rig.recording import LIMBS
-
     if arguments.no_measure:
         raise RigError("--limbs with --no-measure: vision must look at some poses, or a limb that slips is never noticed")
     found = limbs_file.in_force(arguments.limbs, design)
-    if design.sensors is None or set(LIMBS) - set(design.sensors.channels):
-        raise RigError(f"--limbs takes a [sensors] table in rig.toml with the channels {LIMBS[0]} .. {LIMBS[-1]}")
+    channels = design.insitu.channels if design.insitu is not None else ()
+    if design.sensors is None or set(channels) - set(design.sensors.channels):
+        raise RigError(f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}")
     return found
 
 

@@ -1,8 +1,9 @@
-"""rig insitu REC --tolerance M RAD [--out limbs.json] [--state FILE]."""
+"""rig insitu REC --tolerance M RAD [--use m1,m2,..] [--out limbs.json] [--state FILE]."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,17 +12,22 @@ from rig.commands.output import Progress, add_page, add_recording, add_result, n
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.certify.insitu import Agreement
+    import numpy as np
+
+    from calib.certify.insitu import Agreement, Limbs
     from calib.online.limbs_file import Accepted
     from calib.pipeline import Sampled
     from rig.recording import Recording
 
+    Closed = tuple[np.ndarray, np.ndarray]  # (error, sigma), each (n, checks) m
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    add_recording(parser, "with columns m1..m6 (m) in sensors.csv and [insitu] in rig.toml")
+    add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
     parser.add_argument("--tolerance", nargs=2, type=float, default=(5e-5, 2e-4), metavar=("M", "RAD"),
                         help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
+    parser.add_argument("--use", metavar="LIMBS", help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
+                        "checks; by default the six that tell it best")
     parser.add_argument("--out", metavar="FILE", type=Path, help="limbs.json: geometry, covariance, agreement and verdict, for --limbs of measure, "
                         "calibrate, online and run")
     add_page(parser)
@@ -35,35 +41,30 @@ def run(arguments: Namespace) -> int:
         raise RigError("--tolerance takes two positive numbers, m and rad")
     recording = read_recording(arguments)
 
-    from calib.certify import insitu, limb_steps
+    from calib.certify import insitu
     from calib.online import limb_source, limbs_file
     from calib.pipeline import sample_recording
-    from calib.store import provenance
 
     renewed = arguments.out is not None and limbs_file.ours(arguments.out)
     out = arguments.outputs.file(arguments.out, own=renewed) if arguments.out else None
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = place_of_page(arguments)
-    nominal = insitu.stated(recording.design)
-    frames, lengths = insitu.readings(recording)
+    insitu.stated(recording.design)  # where limbs tell no pose, nothing is read
+    insitu.readings(recording)
+    channels = insitu.measuring(recording.design).channels
+    asked = None if arguments.use is None else _asked(arguments.use, channels)
     by_vision = sample_recording(recording, progress=Progress())
-    samples, sigma = insitu.read(by_vision.samples, frames, lengths), insitu.length_sigma(recording.design)
-    T, expected = insitu.held_out(samples, nominal, sigma)
-    found = insitu.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
-    limbs, _ = insitu.calibrated(samples, nominal, sigma)
-    accepted = limbs_file.Accepted(limbs, nominal, found, None, provenance(recording, arguments.argv, 0, by_vision.source == "images"))
-    slipped = limb_steps.slip(samples, limbs, sigma)
-    if slipped is not None:
-        reason = f"limb {slipped.limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
-        accepted = limbs_file.withdrawn(accepted, str(recording.folder), slipped.frame, reason)
+    accepted, closed = _held(arguments, recording, by_vision, asked)
+    found = accepted.agreement
     _print(found, by_vision.source)
+    _print_checks(accepted.limbs, channels, *closed)
     print_unsolved(by_vision.measurement)
     if accepted.withdrawn is not None:
         print(f"from frame {accepted.withdrawn.frame} on {accepted.withdrawn.reason}; limbs that change while they are held "
               "against vision cannot stand for it")
     passed = accepted.verdict == "accepted"
     print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
-    arguments.result = _result(accepted)
+    arguments.result = _result(accepted, channels, *closed)
     if out is not None:
         limbs_file.save(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
@@ -78,11 +79,62 @@ def run(arguments: Namespace) -> int:
     return 0 if passed else 1
 
 
-def _result(accepted: Accepted) -> dict[str, Any]:
-    """What --json prints."""
+def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, asked: np.ndarray | None) -> tuple[Accepted, Closed]:
+    """(Accepted, closures of the limbs beyond six) of limbs held against vision. asked : (6,) numbers of those that tell poses, or None"""
+    import numpy as np
+
+    from calib.certify import insitu, limb_closure, limb_steps
+    from calib.online import limbs_file
+    from calib.store import provenance
+
+    stated, sigma, (frames, every) = insitu.measuring(recording.design), insitu.length_sigma(recording.design), insitu.readings(recording)
+    home = insitu.stated(recording.design).home
+    chosen = limb_closure.best(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
+    nominal = insitu.stated(recording.design, chosen)
+    samples = insitu.read(by_vision.samples, frames, every[:, chosen])
+    T, expected = insitu.held_out(samples, nominal, sigma)
+    found = insitu.agreement(samples.T_base_platform, T, expected, arguments.tolerance)
+    six = replace(insitu.calibrated(samples, nominal, sigma)[0], chosen=chosen)
+    both = every[np.searchsorted(frames, samples.frame)]
+    limbs = replace(six, checks=limb_closure.fitted(six, stated, both))
+    accepted = limbs_file.Accepted(limbs, nominal, found, None, provenance(recording, arguments.argv, 0, by_vision.source == "images"))
+    slipped = limb_steps.slip(samples, limbs, sigma)
+    if slipped is not None:
+        limb = chosen[slipped.limb - 1] + 1
+        reason = f"limb {limb} is longer by {slipped.size * 1e6:+.1f} +- {slipped.sigma * 1e6:.1f} um than it reads: it slipped"
+        accepted = limbs_file.withdrawn(accepted, str(recording.folder), slipped.frame, reason)
+    return accepted, limb_closure.held_out(limbs, stated, both)
+
+
+def _asked(text: str, channels: tuple[str, ...]) -> np.ndarray:
+    """(6,) numbers, from 0, of the limbs that a user names. Raises RigError for anything but six of them, each once"""
+    import numpy as np
+
+    names = [word.strip() for word in text.split(",")]
+    if set(names) - set(channels) or len(set(names)) != 6 or len(names) != 6:
+        raise RigError(f"--use takes six different limbs of {channels[0]} .. {channels[-1]}, not {text!r}")
+    return np.sort([channels.index(name) for name in names])
+
+
+def _print_checks(limbs: Limbs, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> None:
+    """Say which six tell the pose, and how the others close on stretches left out of fitting them."""
+    if limbs.checks is None or not len(limbs.checks.limbs):
+        return
+    print(f"{', '.join(channels[i] for i in limbs.chosen)} tell the pose; what the others read less what it says, um:")
+    print(f"{'':4}{'mean':>9}{'RMS':>9}{'expected':>10}")
+    for i, e, s in zip(limbs.checks.limbs, error.T * 1e6, sigma.T * 1e6):
+        print(f"{channels[i]:4}{e.mean():9.2f}{(e**2).mean() ** 0.5:9.2f}{(s**2).mean() ** 0.5:10.2f}")
+
+
+def _result(accepted: Accepted, channels: tuple[str, ...], error: np.ndarray, sigma: np.ndarray) -> dict[str, Any]:
+    """What --json prints. error, sigma : (n, checks) m, of the limbs beyond six"""
     found, gone = accepted.agreement, accepted.withdrawn
     names = ("bias", "scatter", "expected", "limits", "surely", "tolerance", "moved", "passed")
+    checks = accepted.limbs.checks
+    closures = [{"limb": channels[i], "mean": float(e.mean()), "rms": float((e**2).mean() ** 0.5), "expected": float((s**2).mean() ** 0.5)}
+                for i, e, s in zip([] if checks is None else checks.limbs, error.T, sigma.T)]
     return {"schema": "insitu/1", "verdict": accepted.verdict, "poses": found.n, "order": "x y z rx ry rz, m and rad",
+            "pose_from": [channels[i] for i in accepted.limbs.chosen], "closures": closures,
             **{name: getattr(found, name).tolist() for name in names}, "withdrawn": gone and {"frame": gone.frame, "reason": gone.reason}}
 
 

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify.limb_closure import enough
+from calib.online.limb_check import Disagreement
 from calib.online.limb_live import LimbLive
 from calib.online.watch import Learner, Learnt, LimbWatch
 from rig import mechanisms
@@ -89,7 +91,7 @@ class Looking:
         self.displays: list[Display] = []
         self.note: Callable[[str], None] = lambda text: None  # puts what is said on record; the operator's, once there is one
         self._watch = Watch(design)
-        self._limbs = LimbWatch(design) if design.insitu is not None and design.mechanism.kind == "hexapod" else None
+        self._limbs = LimbWatch(design) if enough(design) else None
         self._read: np.ndarray | None = None
         self.source: LimbLive | None = None  # limbs whose poses stand for vision's
         self.withdraw: Callable[[LimbLive, int, str], None] = lambda source, frame, reason: None  # writes that they no longer do
@@ -120,7 +122,7 @@ class Looking:
         elif isinstance(row, Readings):
             values = dict(zip(row.channels, row.values))
             if self._limbs is not None and "m1" in values:
-                self._read = np.array([values[f"m{i + 1}"] for i in range(6)])
+                self._read = np.array([values[name] for name in self._limbs.channels])
         else:
             self.update(phase="settling", lengths=np.array(getattr(row, "position", self.view.lengths)))
 
@@ -193,6 +195,12 @@ class Looking:
 
     def _by_limbs(self, shot: Shot, lengths: np.ndarray, source: LimbLive) -> None:
         """A shot's pose from the limbs, learnt; vision looks where it is due, and what it has not confirmed is not said."""
+        open_ = source.closes(lengths)
+        if open_ is not None:
+            self._withdrawn(source, shot.number, open_)
+            if self._live is not None:
+                self._measure(shot, lengths, self._live)
+            return
         T, own, common = source.pose(lengths)
         learnt = None if self._learner is None else self._learner.learn(shot.commanded, T, own, common)
         sight, alarms, live = told_by_limbs(shot.number, T, own + common @ common.T), list[Alarm](), self._live
@@ -204,7 +212,7 @@ class Looking:
                 found = source.check(lengths, seen.T_base_platform, seen.covariance)
                 sight = seen
                 if found is not None:
-                    self._withdrawn(source, shot.number, found.reason)
+                    self._withdrawn(source, shot.number, found)
                 elif not source.undecided:
                     alarms, self._waiting = alarms + self._waiting, []
                     if self._learner is not None:
@@ -215,13 +223,13 @@ class Looking:
         if live is not None:
             live.adjust()
 
-    def _withdrawn(self, source: LimbLive, frame: int, reason: str) -> None:
+    def _withdrawn(self, source: LimbLive, frame: int, found: Disagreement) -> None:
         """The limbs no longer stand for vision: on file, said, and what was learnt since the last check is forgotten."""
         self._waiting = []
         if self._learner is not None:
             self._learner.back()
-        self.withdraw(source, frame, reason)
-        self.warn(Alarm("limbs", f"frame {frame}: {reason}. Vision no longer agrees with the measuring limbs: their acceptance is withdrawn, "
+        self.withdraw(source, frame, found.reason)
+        self.warn(Alarm("limbs", f"frame {frame}: {found.reason}. {found.who}: their acceptance is withdrawn, "
                                  "what was learnt since they last agreed is forgotten, and vision measures"))
 
     def _measure(self, shot: Shot, lengths: np.ndarray | None, live: Live) -> None:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Hexapod
+from rig.design import Hexapod, MeasuringLimbs
 from rig.errors import RigError
 from rig.mechanisms import hexapod as mechanism
 
@@ -53,15 +54,21 @@ class Closures:
     share: np.ndarray
 
 
-def legs(parts: list[tuple[str, Hexapod, np.ndarray, np.ndarray]]) -> Legs:
-    """Legs of sets of six: (letter of their names, Hexapod, sigma (6,) m, covariance (42, 42) m^2 of its parameters, in their order)."""
-    order = np.array([[*range(3 * i, 3 * i + 3), *range(18 + 3 * i, 21 + 3 * i), 36 + i] for i in range(SIX)]).ravel()
-    covariance = np.zeros((42 * len(parts), 42 * len(parts)))
-    for k, (*_, one) in enumerate(parts):
-        covariance[42 * k : 42 * k + 42, 42 * k : 42 * k + 42] = one[np.ix_(order, order)]
-    base, platform, zeros = (np.concatenate([getattr(m, name) for _, m, *_ in parts]) for name in ("base_joints", "platform_joints", "strut_zeros"))
-    names = tuple(f"{letter}{i + 1}" for letter, *_ in parts for i in range(SIX))
-    return Legs(names, base, platform, zeros, parts[0][1].home, np.concatenate([sigma for *_, sigma, _ in parts]), covariance)
+def legs(parts: list[tuple[str, Hexapod | MeasuringLimbs, np.ndarray, np.ndarray]], home: RigidTransform) -> Legs:
+    """Legs of sets of n: (letter of their names, geometry, sigma (n,) m, covariance (7 n, 7 n) m^2 of its base joints, platform joints and zeros).
+
+    home : T_base_platform, about which they are looked for
+    """
+    blocks, names, zeros = [], list[str](), []
+    for letter, m, sigma, covariance in parts:
+        n = len(sigma)
+        order = np.array([[*range(3 * i, 3 * i + 3), *range(3 * (n + i), 3 * (n + i) + 3), 6 * n + i] for i in range(n)]).ravel()
+        blocks.append(covariance[np.ix_(order, order)])
+        names += [f"{letter}{i + 1}" for i in range(n)]
+        zeros.append(m.strut_zeros if isinstance(m, Hexapod) else m.zeros)
+    base, platform = (np.concatenate([getattr(m, name) for _, m, *_ in parts]) for name in ("base_joints", "platform_joints"))
+    return Legs(tuple(names), base, platform, np.concatenate(zeros), home, np.concatenate([sigma for *_, sigma, _ in parts]),
+                scipy.linalg.block_diag(*blocks))
 
 
 def rows(of: Legs, T: RigidTransform) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -154,7 +154,7 @@ def _exports(design):
 
 def _limbs():
     with tempfile.TemporaryDirectory() as folder:
-        text, path = layout.layout(0.3, limbs=True), Path(folder) / "rig.toml"
+        text, path = layout.layout(0.3, limbs=6), Path(folder) / "rig.toml"
         path.write_text(text)
         design, rng = design_file.load(path), np.random.default_rng(0)
         done = simulation.simulate(world.draw(design, rng), plan.build(design, "axes:9,sobol:150"), rng)

@@ -28,7 +28,8 @@ def machine(limbed):
 
 def legs(machine, sigma=(1e-6, 1e-6), covariance=None):
     none = np.zeros((42, 42))
-    return redundant.legs([(letter, m, np.full(6, s), none if covariance is None else covariance) for letter, m, s in zip("lm", machine[:2], sigma)])
+    return redundant.legs([(letter, m, np.full(6, s), none if covariance is None else covariance) for letter, m, s in zip("lm", machine[:2], sigma)],
+                          machine[0].home)
 
 
 def lengths(machine):

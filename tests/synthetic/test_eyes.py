@@ -73,7 +73,7 @@ def test_history_is_read_as_it_grows_and_standing_takes_no_room(tmp_path):
 def test_measuring_limbs_read_the_pose(design, told, tmp_path):
     from rig import design_file, layout
 
-    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=True))
+    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=6))
     secret = world.draw(design_file.load(tmp_path / "rig.toml"), np.random.default_rng(3))
     shown = eyes.Eyes(secret, Images(Sensor()), 1, lambda: told, SimulatedClock(105.0))
     limbs, T = secret.true.insitu, shown.pose(105.0)

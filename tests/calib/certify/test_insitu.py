@@ -114,10 +114,10 @@ def test_what_is_missing_is_said(limbed, design, tmp_path):
         insitu.readings(replace(read, sensors=Sensors(read.sensors.t, {k: v for k, v in read.sensors.channels.items() if k != "m3"})))
     with pytest.raises(RigError, match="there is no sensors.csv"):
         insitu.readings(replace(read, sensors=None))
-    sparse = Sensors(np.arange(0.0, 2000.0, 30.0) + 0.123, {name: np.full(67, 0.5) for name in insitu.CHANNELS})
+    sparse = Sensors(np.arange(0.0, 2000.0, 30.0) + 0.123, {name: np.full(67, 0.5) for name in insitu.measuring(read.design).channels})
     with pytest.raises(NotEnoughData, match="within 0.5 s"):
         insitu.readings(replace(read, sensors=sparse))
-    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=True).replace("length_sigma = 1e-6", "length_sigma = -1"))
+    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=6).replace("length_sigma = 1e-6", "length_sigma = -1"))
     with pytest.raises(FileError, match="insitu.length_sigma must be > 0"):
         design_file.load(tmp_path / "rig.toml")
 

@@ -50,7 +50,7 @@ def test_a_drift_from_the_calibration_is_said_once(machine):
 
 
 def test_limbs_that_go_astray_are_said(tmp_path):
-    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=True))
+    (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=6))
     design = design_file.load(tmp_path / "rig.toml")
     rng = np.random.default_rng(8)
     true = world.draw(design, rng).true
