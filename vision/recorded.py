@@ -92,7 +92,7 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
         found = again
         measured = solved(found.corners, found.correlation)
     for _ in range(ROUNDS):
-        if otherwise(found, measured.design.cameras) < SETTLED:
+        if otherwise(found.corners, found.cameras, measured.design.cameras) < SETTLED:
             break
         found = placed_anew(recording, found, measured.design.cameras, markers, said("placing anew"))
         measured = solved(found.corners, found.correlation)

@@ -4,14 +4,14 @@ A marker is fitted as a whole, its sides bent as the lens bends them: a lens as 
 large marker by some thousandths of a pixel, the same in every image where it stands there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rig.design import Camera
 from rig.exposures import read_image
-from rig.recording import Recording
+from rig.recording import Corners, Recording
 from vision.corners import local_lens
 from vision.corners.detect import Detection, Read, grey, place
 from vision.corners.spread import PLAIN
@@ -23,9 +23,9 @@ ROUNDS = 3  # of placing and measuring; a round leaves a few hundredths of what 
 STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretched, its corners have anyway
 
 
-def otherwise(collected: Collected, cameras: Sequence[Camera]) -> float:
-    """px by which lenses as measured bend some marker of a recording otherwise than those that it was placed by."""
-    corners, most = collected.corners, 0.0
+def otherwise(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
+    """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of every marker"""
+    most = 0.0
     quads = corners.uv.reshape(-1, 4, 2)
     names = np.array(corners.camera)[::4]
     middle = quads.mean(axis=1)
@@ -34,7 +34,7 @@ def otherwise(collected: Collected, cameras: Sequence[Camera]) -> float:
         own = centres[names == camera.name]
         if len(own):
             bent = np.empty((2, len(own), 2, local_lens.TERMS))
-            for k, one in enumerate((collected.cameras[camera.name], camera)):
+            for k, one in enumerate((placed_by[camera.name], camera)):
                 local_lens.polynomials(local_lens.table(one), own, bent[k])
             apart = np.abs(bent[1] - bent[0])[..., STRAIGHT:].sum(axis=-1) * own[:, 2:]
             most = max(most, float(np.nanmax(apart)))

@@ -3,6 +3,9 @@
 The first frames' images are searched whole; from then on only the places are read where markers ought to be. Between two
 adjustments the cameras are held, so that one that has moved shows. Adjusting takes seconds and is done beside: frames that come
 meanwhile are measured with the cameras as they were.
+
+A marker is fitted as a whole, its sides bent as the lens bends them: the first images are placed once more by the lens as measured, until that
+bends no marker otherwise. Else what the stated lens did to their corners would be in all poses to come.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,9 +26,12 @@ from vision.observations import Observations, from_corners, nothing_seen
 from vision.pose.frames import Views, locate_frames, resect
 from vision.pose.locate import FINEST
 from vision.predict import State, expected, predict
+from vision.reading.anew import ROUNDS, SETTLED, otherwise
 from vision.reading.collect import corners_of, learn_spread
 from vision.targets import marker_map
 
+Rows = tuple[tuple[int, str, Detection], ...]  # frame, camera, what its image shows
+Images = tuple[tuple[int, str, np.ndarray], ...]  # frame, camera, its image
 TAUGHT = (6, 12, 24, 48, 96)  # solved frames after which cameras are adjusted to all so far
 
 
@@ -106,7 +112,7 @@ class Live:
         detections = {name: future.result() for name, future in work}
         rows = [(frame, name, detection) for name, detection in detections.items()]
         self._rows += rows
-        if not self._told and len(self._first) < TAUGHT[0] * len(images):
+        if self._measurement is None and len(self._first) < TAUGHT[1] * len(images):
             self._first += [(frame, name, image) for name, image in images.items()]
         sight = self._locate(frame, rows, detections)
         self._solved += sight.T_base_platform is not None
@@ -117,8 +123,8 @@ class Live:
         due = max((count for count in TAUGHT if count <= self._solved), default=0)
         if due > self._told and self._adjusting is None:
             self._told = due
-            self._adjusting = self._beside.submit(self._adjusted, tuple(self._rows), tuple(self._first))
-            self._first = []
+            self._adjusting = self._beside.submit(self._adjusted, tuple(self._rows), tuple(self._first), {c.name: c for c in self.cameras})
+            self._first = self._first if self._measurement is None else []
 
     def _adopt(self) -> None:
         """Take over an adjustment that has come to its end. Raises what it raised."""
@@ -132,26 +138,27 @@ class Live:
             m = self._measurement = done.measurement
             self.cameras, self.noise, self._factor = m.design.cameras, m.noise, m.factor
 
-    def _adjusted(self, rows: tuple[tuple[int, str, Detection], ...], first: tuple[tuple[int, str, np.ndarray], ...]) -> _Adjusted:
-        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look, or none"""
-        spread, again = self._edges(rows, first) if first else ({}, {})
-        corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
-        observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
-        try:
-            return _Adjusted(measure(observed, self.design, self.markers), spread, again)
-        except NotEnoughData:
-            return _Adjusted(None, spread, again)
-
-    def _edges(self, rows: tuple[tuple[int, str, Detection], ...], first: tuple[tuple[int, str, np.ndarray], ...]
-               ) -> tuple[dict[str, Spread], dict[tuple[int, str], Detection]]:
-        """How each camera's edges look in some images, and those images' corners placed once more with that."""
-        spread, again = {}, {}
-        for camera in self.design.cameras:
-            own = {frame: grey(image)[1] for frame, name, image in first if name == camera.name}
-            seen = {frame: detection for frame, name, detection in rows if name == camera.name and frame in own}
-            spread[camera.name] = learn_spread([(own[f], d.read) for f, d in seen.items()], camera, self.markers)
-            again.update({(f, camera.name): place(own[f], camera, self.markers, d.read, spread[camera.name]) for f, d in seen.items()})
-        return spread, again
+    def _adjusted(self, rows: Rows, first: Images, cameras: dict[str, Camera]) -> _Adjusted:
+        """Cameras adjusted to all of some rows. first : images from which to learn how each camera's edges look and which are placed once more,
+        or none; cameras : {name: Camera} by which these are placed at first"""
+        full = {(frame, name): grey(image)[1] for frame, name, image in first}
+        seen = {(frame, name): detection for frame, name, detection in rows if (frame, name) in full}
+        spread = {name: learn_spread([(full[key], d.read) for key, d in seen.items() if key[1] == name], camera, self.markers)
+                  for name, camera in cameras.items() if any(key[1] == name for key in seen)}
+        measurement, again, placed_by = None, dict[tuple[int, str], Detection](), cameras
+        for _ in range(1 + (ROUNDS if seen else 0)):
+            again = {key: place(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], *(() if not again else (0.0,)))
+                     for key, d in (again or seen).items()}
+            corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
+            observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
+            try:
+                measurement = measure(observed, self.design, self.markers)
+            except NotEnoughData:
+                return _Adjusted(None, spread, again)
+            if not seen or otherwise(corners_of([(*key, d) for key, d in again.items()])[0], placed_by, measurement.design.cameras) < SETTLED:
+                break
+            placed_by = {camera.name: camera for camera in measurement.design.cameras}
+        return _Adjusted(measurement, spread, again)
 
     def close(self) -> None:
         """End the threads, once what is adjusted has come to its end. Raises what that raised."""

@@ -51,12 +51,12 @@ def test_corners_are_placed_by_the_lens_as_measured(check, measured):
     m, second = measured
     stated, true = check.design.cameras, m.design.cameras
     first = replace(second, cameras={camera.name: camera for camera in stated})
-    assert otherwise(second, true) < SETTLED < otherwise(first, true)
-    assert otherwise(first, stated) == 0
+    assert otherwise(second.corners, second.cameras, true) < SETTLED < otherwise(first.corners, first.cameras, true)
+    assert otherwise(first.corners, first.cameras, stated) == 0
     bent = [[replace(camera, distortion=camera.distortion + [by, 0, 0, 0, 0]) for camera in stated] for by in (1e-3, 2e-3)]
-    assert otherwise(first, bent[1]) == pytest.approx(2 * otherwise(first, bent[0]), rel=0.02)
+    assert otherwise(first.corners, first.cameras, bent[1]) == pytest.approx(2 * otherwise(first.corners, first.cameras, bent[0]), rel=0.02)
     shifted = [replace(camera, matrix=camera.matrix + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]) for camera in stated]
-    assert otherwise(first, shifted) < otherwise(first, bent[0]) / 2  # it moves a marker as a whole
+    assert otherwise(first.corners, first.cameras, shifted) < otherwise(first.corners, first.cameras, bent[0]) / 2  # it moves a marker as a whole
 
 
 def test_progress_counts_every_image(check):
