@@ -73,8 +73,6 @@ def run(arguments: Namespace) -> None:
     poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
     writing.write_poses(out / "poses.csv", poses)
     writing.write_angles(out / "rpy.csv", poses)
-    for stage, own in measured.stages.items():
-        writing.write_poses(out / f"poses_stage{stage}.csv", recordings.Poses(own.frames, own.T_base_platform, own.covariance))
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong),
@@ -82,10 +80,7 @@ def run(arguments: Namespace) -> None:
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
     arguments.result = _result(recording, measured, held, uncertainty(measured.covariance))
     print_unsolved(measured)
-    for stage, own in measured.stages.items():
-        position, rotation = uncertainty(own.covariance) if len(own.frames) else (float("nan"), float("nan"))
-        print(f"stage {stage}: {len(own.frames)} of {len(recording.exposures.times()[0])} frames solved, poses to {position * 1e3:.4f} mm and "
-              f"{rotation * 1e3:.4f} mrad: poses_stage{stage}.csv")
+    _stages(out, measured, len(recording.exposures.times()[0]))
     if wrong:
         print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
         for suspect in wrong:
@@ -95,6 +90,19 @@ def run(arguments: Namespace) -> None:
     _print_cameras(recording.design.cameras, measured.design.cameras)
     print(determination.summary())
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), corners.csv, rig.toml; look at {arguments.out}/report.html")
+
+
+def _stages(out: Path, measured: Measurement, total: int) -> None:
+    """Write the poses of a chain's stages below the last that carry targets, and say how many there are and how well they are known."""
+    from calib.samples import uncertainty
+    from rig import writing
+    from rig.observed import Poses
+
+    for stage, own in measured.stages.items():
+        writing.write_poses(out / f"poses_stage{stage}.csv", Poses(own.frames, own.T_base_platform, own.covariance))
+        position, rotation = uncertainty(own.covariance) if len(own.frames) else (float("nan"), float("nan"))
+        print(f"stage {stage}: {len(own.frames)} of {total} frames solved, poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad: "
+              f"poses_stage{stage}.csv")
 
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:
