@@ -79,7 +79,8 @@ def test_the_base_is_seen_from_the_platform_while_a_run_goes_on(tmp_path, opengl
     secret, strokes = world.draw(design, np.random.default_rng(2)), design.mechanism.strut_range
     goals = low_discrepancy(strokes, TAUGHT[0] + 4, 0.5, 1)
     t = 10.0 * np.arange(len(goals) + 1)
-    eyes = Eyes(secret, Images(Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)), 1, lambda: (np.repeat(t, 2)[1:-1] + np.tile([0, 5.0], len(goals)), np.repeat(goals, 2, axis=0)),
+    sensor = Sensor(blur=0.6, read_noise=1.5, electrons=8000.0)
+    eyes = Eyes(secret, Images(sensor), 1, lambda: (np.repeat(t, 2)[1:-1] + np.tile([0, 5.0], len(goals)), np.repeat(goals, 2, axis=0)),
                 SimulatedClock(t[-1]))
     live, sights, true = Live(design), [], []
     for k, goal in enumerate(goals):
