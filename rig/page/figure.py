@@ -39,7 +39,7 @@ def panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bo
     across, or None"""
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
-    top = 16.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
+    top = 19.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
     bottom = top + HIGH
     halves = [s.half for s in series if s.half is not None]
     ys = [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)] if halves else \
@@ -83,7 +83,7 @@ def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:
     for v in y.ticks:
         parts += [f'<path class="tick" d="M{LEFT} {float(y.at(v)):.1f}H{RIGHT}"/>', text(LEFT - 5, float(y.at(v)) + 4, f"{v:g}", "end")]
     below = [text((LEFT + RIGHT) / 2, bottom + 33 + 17 * k, line, "middle") for k, line in enumerate(_below(labels[0]))]
-    return [*parts, *below, text(4, top - 6, labels[1])]
+    return [*parts, *below, text(4, top - 9, labels[1])]
 
 
 def _below(label: str) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from rig.page.letters import escaped
 
-LONG = 40  # letters, beyond which a cell breaks its lines
+LONG = 30  # letters, beyond which a cell breaks its lines
 WORDY = 12  # letters, beyond which a heading of a column does
 
 
