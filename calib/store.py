@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -28,13 +27,15 @@ from calib.correct.physics_file import physics_in, physics_out
 from calib.correct.posed_file import map_in, map_out
 from calib.identify.geometry import parameters
 from calib.workspace.file import workspace_in, workspace_out
-from rig import json_file
+from rig import json_file, remote
 from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.effects import BY_NAME
 from rig.effects.parse import Kinds
 from rig.entries import LARGEST_RIG, Entries
+from rig.exposures import LARGEST_IMAGE_FILE
 from rig.files import write_text
 from rig.kinds import Struts, struts_of
+from rig.outside import read_bytes
 from rig.pose import as_entry
 from rig.provenance import flat, marks, shared
 from rig.recording import Recording
@@ -77,7 +78,7 @@ def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_i
 def inputs(recording: Recording, used_images: bool) -> dict[str, str]:
     """{file: SHA-256} of a recording's files, its images together. used_images : whether they were read"""
     folder = recording.folder
-    files = {name: _hash([folder / name]) for name in sorted(os.listdir(folder)) if name.endswith((".toml", ".csv"))}
+    files = {name: _hash([folder / name]) for name in remote.names(folder) if name.endswith((".toml", ".csv"))}
     if used_images:
         names = sorted(name for name in recording.exposures.image if name)
         files[f"images ({len(names)})"] = _hash([folder / name for name in names])
@@ -105,7 +106,7 @@ def seen_before(calibration: Calibration, recording: Recording) -> list[int]:
 def _hash(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(Path(path).read_bytes())
+        digest.update(read_bytes(Path(path), LARGEST_IMAGE_FILE))
     return digest.hexdigest()
 
 

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -138,7 +138,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
             arguments.outputs = outputs
-            with _words(arguments):
+            with _words(arguments), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
             from rig.page.index import refresh
@@ -167,6 +167,15 @@ def _run(arguments: argparse.Namespace) -> int:
         return _failed(f"{name}: interrupted", 130)
 
 
+def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+    """Within it those work for a command who were asked for."""
+    if "workers" not in arguments:
+        return nullcontext()
+    from rig.commands.workers import at_work
+
+    return at_work(arguments)
+
+
 def _for_programs(arguments: argparse.Namespace) -> bool:
     """Whether a command that leaves its result in `arguments.result` is to print it as JSON."""
     return getattr(arguments, "json", False) and "result" in vars(arguments)
@@ -180,7 +189,7 @@ def _words(arguments: argparse.Namespace) -> Iterator[None]:
 
     out, quiet = getattr(arguments, "out", ""), getattr(arguments, "quiet", False)
     aside = _for_programs(arguments)
-    before, Progress.shown = Progress.shown, "none" if quiet else getattr(arguments, "progress", "auto")
+    before, Progress.shown = Progress.shown, "none" if quiet or Progress.shown == "none" else getattr(arguments, "progress", "auto")
     try:
         if quiet and (aside or out is not None and not getattr(arguments, "json", False)):  # without --out the result itself is printed
             with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
+
+FOLDED = re.compile(r"((?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+):/(?=[^/])")  # what pathlib makes of SCHEME://
+
+
+def url(path: str | PathLike[str]) -> str:
+    """A path as its user writes it: with both strokes after the scheme, where it stands for a URL."""
+    return FOLDED.sub(r"\1://", str(path), count=1) if FOLDED.match(str(path)) else str(path)
 
 
 class RigError(Exception):
@@ -26,8 +34,8 @@ class FileError(RigError):
     """
 
     def __init__(self, path: str | PathLike[str], message: str, line: int | None = None, column: int | None = None, value: Any = None) -> None:
-        self.path, self.line, self.column, self.value = str(path), line, column, value
-        place = ":".join(str(part) for part in (path, line, column) if part is not None)
+        self.path, self.line, self.column, self.value = url(path), line, column, value
+        place = ":".join(str(part) for part in (self.path, line, column) if part is not None)
         super().__init__(f"{place}: {message}")
 
 

@@ -1,13 +1,15 @@
 """frames.csv -> exposures; and their images, checked before anybody decodes them: which cannot be used is said of all at once."""
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from rig import remote
 from rig.design import Camera, Design
 from rig.errors import FileError
-from rig.images import check_image, inside
+from rig.images import check_image, check_opened, inside
 from rig.origin import Origin
 from rig.outside import read_bytes
 from rig.table import Table
@@ -104,21 +106,29 @@ def load_exposures(folder: Path, design: Design, rows: Table, origin: Origin, sk
 
 def _unusable(folder: Path, name: str, frame: int, camera: Camera, line: int, decode: bool) -> Unreadable | None:
     """Unreadable of an image named in a line of frames.csv, or None. decode : whether it is decoded too"""
-    problem = inside(folder, name) or check_image(folder / name, camera) or (_undecodable(folder / name) if decode else None)
+    look = _listed if remote.is_remote(folder) else check_image
+    problem = inside(folder, name) or look(folder / name, camera) or (_undecodable(folder / name) if decode else None)
     if problem is None:
         return None
     return Unreadable(int(frame), camera.name, folder / name, f"{problem} (frames.csv, line {line})")
+
+
+def _listed(path: Path, _: Camera) -> str | None:
+    """What is wrong with an image behind a URL, as far as its folder's listing tells; the rest is seen when it is fetched to be measured."""
+    size = remote.size(path)
+    return "no such image" if size is None else "is an empty file" if not size else None
 
 
 def read_image(path: Path) -> np.ndarray:
     """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
     import cv2
 
-    problem = check_image(path)
+    data = read_bytes(path, LARGEST_IMAGE_FILE, "no such image")
+    problem = check_opened(BytesIO(data))
     if problem:
         raise FileError(path, problem)
     try:
-        image = cv2.imdecode(np.frombuffer(read_bytes(path, LARGEST_IMAGE_FILE), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise FileError(path, f"cannot be decoded as an image: {error.err}") from None
     if image is None:

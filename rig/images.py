@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
+from rig import remote
 from rig.design import Camera
 from rig.errors import FileError
 from rig.outside import open_file
@@ -27,15 +28,21 @@ def check_image(path: Path, camera: Camera | None = None) -> str | None:
     """
     try:
         with open_file(path, "no such image") as file:
-            head = file.read(HEAD)
-            size = os.fstat(file.fileno()).st_size
-            file.seek(max(0, size - 64))
-            tail = file.read()
-            got = _size(file, head) if size else None
+            return check_opened(file, camera)
     except FileError as error:
         return str(error).split(": ", 1)[1]
     except OSError as error:
         return f"cannot be read: {error.strerror}"
+
+
+def check_opened(file: BinaryIO, camera: Camera | None = None) -> str | None:
+    """The same of an image that is open. Raises OSError where it cannot be read."""
+    head = file.read(HEAD)
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - 64))
+    tail = file.read()
+    try:
+        got = _size(file, head) if size else None
     except (struct.error, ValueError):
         got = None
     if not size:
@@ -99,6 +106,8 @@ def inside(folder: Path, name: str) -> str | None:
     """What is wrong with the name of an image of a recording, in words, or None: its file lies in the folder, links followed."""
     if not name.isprintable() or len(name) > 1000:
         return "is no name of a file"
+    if remote.is_remote(folder):
+        return "lies outside the recording, whose images are in its folder" if ".." in Path(name).parts or name.startswith("/") else None
     try:
         away = Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError) as error:  # a ring of links

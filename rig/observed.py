@@ -7,7 +7,7 @@ from typing import NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from rig import table
+from rig import remote, table
 from rig.design import Design, Instrument
 from rig.entries import LARGEST_RIG
 from rig.errors import FileError
@@ -47,7 +47,7 @@ class Poses:
 
 def load_corners(path: Path, design: Design, exposures: Exposures) -> Corners | None:
     """Corners of a corners.csv, or None where there is none. Raises FileError with line and column."""
-    if not path.exists():
+    if not remote.exists(path):
         return None
     rows = table.read(path, CORNER_COLUMNS, ("sigma", *CORNER_COVARIANCE))
     frame, marker, corner, camera = rows.whole("frame"), rows.whole("marker"), rows.whole("corner"), rows.text("camera")

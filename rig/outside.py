@@ -5,6 +5,7 @@ import stat
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from rig import remote
 from rig.errors import FileError
 
 LARGEST = 1 << 28  # bytes of a text file
@@ -32,7 +33,10 @@ def open_file(path: Path, missing: str = "no such file") -> BinaryIO:
 
 
 def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -> bytes:
-    """All of a file. most : bytes. Raises FileError as `open_file` does, for a file larger than `most` and for one that cannot be read."""
+    """All of a file, here or behind a URL. most : bytes. Raises FileError as `open_file` does, for a file larger than `most` and for one that cannot
+    be read."""
+    if remote.is_remote(path):
+        return _fetched(path, most, missing)
     with open_file(path, missing) as file:
         size = os.fstat(file.fileno()).st_size
         if size > most:
@@ -41,6 +45,17 @@ def read_bytes(path: Path, most: int = LARGEST, missing: str = "no such file") -
             return file.read(most)
         except OSError as error:
             raise FileError(path, f"cannot be read: {error.strerror}") from None
+
+
+def _fetched(path: Path, most: int, missing: str) -> bytes:
+    """`read_bytes` of a file behind a URL."""
+    try:
+        data = remote.read(path, most + 1)
+    except FileNotFoundError:
+        raise FileError(path, missing) from None
+    if len(data) > most:
+        raise FileError(path, f"has more than the {most} bytes that such a file may have")
+    return data
 
 
 def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") -> str:

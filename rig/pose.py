@@ -1,8 +1,10 @@
-"""The few things SciPy's RigidTransform lacks: a tangent with translation first, and covariances on the right.
+"""The few things SciPy's RigidTransform lacks: a tangent with translation first, covariances on the right, and the way to another process unrounded.
 
 Frames: T_a_b maps b's coordinates to a. Tangent xi = (x, y, z, rx, ry, rz) in m and rad stands on the right:
 T = T_mean * exp(xi), so it lives in b's frame.
 """
+
+import copyreg
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +12,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 TRIANGLE = np.triu_indices(6)
 LOCKED = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
+
+
+def _as_it_is(matrix: np.ndarray) -> RigidTransform:
+    """RigidTransform (...) of matrices (..., 4, 4) that are rigid to the last bit that they have: nothing is made orthogonal once more."""
+    return RigidTransform(matrix, normalize=False)
+
+
+# by itself it would be made orthogonal again wherever it comes to, and what is computed from it there would be other bytes
+copyreg.pickle(RigidTransform, lambda T: (_as_it_is, (T.as_matrix(),)))
 
 
 def pose(position: ArrayLike, rotvec: ArrayLike) -> RigidTransform:

@@ -8,31 +8,53 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from typing import Any
 
 from rig.errors import RigError
 
+ENDED = 3  # processes that may be ended from outside, one after the other with nothing done between, before nothing more is begun
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
 
 _waited_for: set[subprocess.Popen] = set()  # children of `finished`
+_asked: int | None = None  # workers that the user asked for
+
+
+class WorkerEnded(RigError):
+    """A process at work that was ended from outside; says what that may have been."""
+
+
+@contextmanager
+def workers(count: int | None) -> Iterator[None]:
+    """Within it so many processes work at a time, whatever the machine has; None leaves it at that."""
+    global _asked
+    before, _asked = _asked, _asked if count is None else count
+    try:
+        yield
+    finally:
+        _asked = before
 
 
 def cores() -> int:
-    """How many processes may run at a time: the cores that this process may use, OMP_NUM_THREADS at most."""
+    """How many processes may work at a time: as many as `workers` says, else the cores that this process may use, OMP_NUM_THREADS at most."""
+    if _asked is not None:
+        return _asked
     limit = os.environ.get("OMP_NUM_THREADS", "")
     here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(here, int(limit)) if limit.isdigit() and int(limit) else here
 
 
-def gathered(pool: Executor, function: Callable, things: Iterable, progress: Callable | None = None) -> list:
+def gathered(pool: Executor, function: Callable, things: Iterable, progress: Callable | None = None, futures: list[Future] | None = None) -> list:
     """[function(thing)] by an executor, in the things' order; of what they raise the first in that order is raised, and the rest is not begun.
 
-    progress : called with (done, of), or None
+    progress : called with (done, of), or None; futures : gets the things' Futures, or None
     """
+    futures, out = [] if futures is None else futures, []
     with _interrupts_wait():  # what is started here is deaf to Ctrl-C, which reaches all of a terminal's processes: this one ends the others
-        futures, out = [pool.submit(function, thing) for thing in things], []
+        for thing in things:
+            futures.append(pool.submit(function, thing))
     try:
         for future in futures:
             out.append(future.result())
@@ -44,12 +66,43 @@ def gathered(pool: Executor, function: Callable, things: Iterable, progress: Cal
     return out
 
 
+def done_by(count: int, method: str, function: Callable, things: Iterable, progress: Callable | None = None, start: Callable | None = None,
+            given: tuple = ()) -> list:
+    """`gathered` by a pool as `pool_of` makes it; what a process was at when it was ended from outside, another does once more.
+
+    Raises WorkerEnded where ENDED pools in turn came to an end with nothing done
+    """
+    left = list(enumerate(things))
+    total, futile = len(left), 0
+    out: dict[int, Any] = {}
+
+    def told(done: int, _: int) -> None:
+        if progress:
+            progress(len(out) + done, total)
+
+    while left:
+        futures: list[Future] = []
+        try:
+            with pool_of(count, method, start, given) as pool:
+                gathered(pool, function, [thing for _, thing in left], told, futures)
+        except WorkerEnded:
+            futile += 1
+        kept = [(k, future.result()) for (k, _), future in zip(left, futures) if future.done() and not future.cancelled() and not future.exception()]
+        out.update(kept)
+        futile = 0 if kept else futile
+        if futile == ENDED:
+            raise WorkerEnded(f"{ENDED} processes at work were ended from outside, one after the other, as a system does that is short of memory; "
+                              "nothing of it is kept")
+        left = [(k, thing) for k, thing in left if k not in out]
+    return [out[k] for k in range(total)]
+
+
 @contextmanager
 def pool_of(count: int, method: str, start: Callable | None = None, given: tuple = ()) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes that ends at once where this process is interrupted, and with it where it is killed.
 
     method : "fork" or "spawn"; start : called with `given` in each process at its beginning, or None
-    Raises RigError where a process of it is ended from outside, which a system short of memory does
+    Raises WorkerEnded where a process of it is ended from outside, which a system short of memory does
     """
     before = multiprocessing.active_children()
     pool = ProcessPoolExecutor(count, multiprocessing.get_context(method), _begin, (os.getpid(), pickle.dumps((start, given))))
@@ -61,7 +114,7 @@ def pool_of(count: int, method: str, start: Callable | None = None, given: tuple
                 process.kill()
         pool.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
-            raise RigError("a process at work was ended from outside, as a system does that is short of memory; nothing of it is kept") from None
+            raise WorkerEnded("a process at work was ended from outside, as a system does that is short of memory; nothing of it is kept") from None
         raise
     pool.shutdown()
 

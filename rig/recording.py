@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig import design_file, table
+from rig import design_file, remote, table
 from rig.design import Design
 from rig.entries import name_problem
 from rig.errors import FileError, RigError
@@ -122,7 +122,7 @@ class Part:
 
 
 def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
-    """Recording of a folder. skip_unreadable : whether images that cannot be used are left out, into `skipped`.
+    """Recording of a folder, here or behind a URL (s3://..). skip_unreadable : whether images that cannot be used are left out, into `skipped`.
 
     Raises FileError naming file, line and column of the first thing that cannot be used; of images, all that cannot be
 
@@ -132,10 +132,11 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     ('hexapod', (14, 6))
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise FileError(folder, "is a file, not a recording folder" if folder.exists() else "no such folder")
+    remote.look_anew()
+    if not remote.is_folder(folder):
+        raise FileError(folder, "is a file, not a recording folder" if remote.exists(folder) else "no such folder")
     complete(folder)
-    if not any(folder.iterdir()):
+    if remote.is_empty(folder):
         raise FileError(folder, "is an empty folder; a recording has at least rig.toml and frames.csv")
     design = design_file.load(folder / "rig.toml")
     commanded = _command_rows(folder / "commands.csv", design)
@@ -145,7 +146,7 @@ def load(folder: str | Path, skip_unreadable: bool = False) -> Recording:
     commands = None if commanded is None else _commands(commanded, design, exposures, origin)
     corners = load_corners(folder / "corners.csv", design, exposures)
     known = set(exposures.frame.tolist())
-    poses = load_measured(folder / "poses.csv", known, design.instrument) if (folder / "poses.csv").exists() else None
+    poses = load_measured(folder / "poses.csv", known, design.instrument) if remote.exists(folder / "poses.csv") else None
     sensors = _sensors(folder / "sensors.csv", origin, exposures)
     return Recording(folder, design, commands, exposures, sensors, corners, poses, origin, tuple(skipped), stages=_stages(folder, design, known))
 
@@ -193,7 +194,7 @@ def _origin(rows: Table) -> Origin:
 
 
 def _command_rows(path: Path, design: Design) -> Table | None:
-    if not path.exists():
+    if not remote.exists(path):
         return None
     if not design.mechanism.axes:
         raise FileError(path, 'stands beside a mechanism of kind "free", which cannot be commanded')
@@ -225,7 +226,7 @@ def _increasing(rows: Table, origin: Origin) -> np.ndarray:
 
 
 def _sensors(path: Path, origin: Origin, exposures: Exposures) -> Sensors | None:
-    if not path.exists():
+    if not remote.exists(path):
         return None
     rows = table.read(path, ("t",))
     sensors = _sensor_rows(rows, origin)

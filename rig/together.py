@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig import remote
 from rig.agreement import contradictions, same_lens
 from rig.design import Camera
 from rig.errors import RigError
@@ -27,7 +28,7 @@ def refuse_strangers(recordings: Sequence[Recording]) -> None:
     first = recordings[0]
     seen: set[str] = set()
     for recording in recordings:
-        place = str(recording.folder.resolve())
+        place = str(remote.absolute(recording.folder))
         if place in seen:
             raise RigError(f"{recording.folder} is named twice; the same poses do not count twice")
         seen.add(place)
@@ -125,7 +126,7 @@ def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
     seen = [(part, part.recording.exposures) for part in parts]
     return Exposures(np.concatenate([part.frames + e.frame for part, e in seen]), np.concatenate([part.t + e.t for part, e in seen]),
                      [called(name, own) if name else "" for (_, e), own in zip(seen, owners) for name in e.camera],
-                     [str(part.recording.folder.resolve() / name) if name else "" for part, e in seen for name in e.image])
+                     [str(remote.absolute(part.recording.folder) / name) if name else "" for part, e in seen for name in e.image])
 
 
 def _corners(parts: Sequence[Part], owners: Owners) -> Corners | None:

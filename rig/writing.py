@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rig import remote
 from rig.exposures import Exposures
 from rig.files import write_bytes, write_text
 from rig.observed import CORNER_COLUMNS, CORNER_COVARIANCE, COVARIANCE_COLUMNS, POSE_COLUMNS, Corners, Poses
 from rig.origin import Origin
+from rig.outside import read_bytes
 from rig.pose import TRIANGLE, angle_sigmas, roll_pitch_yaw, vector
 
 ANGLES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -75,5 +77,5 @@ def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin)
     lines += [f"{frame},{origin.text(t)},{camera}," for frame, t, camera in zip(exposures.frame, exposures.t, exposures.camera)]
     write_text(Path(target) / "frames.csv", "\n".join(lines) + "\n")
     for name in ("commands.csv", "sensors.csv"):
-        if (Path(source) / name).exists():
-            write_bytes(Path(target) / name, (Path(source) / name).read_bytes())
+        if remote.exists(Path(source) / name):
+            write_bytes(Path(target) / name, read_bytes(Path(source) / name))

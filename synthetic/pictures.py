@@ -1,8 +1,11 @@
 """A simulation -> its images: exposures in time, rows of a rolling shutter at their own times, several processes at once."""
 
 import os
+import threading
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +13,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig import cluster
 from rig.design import Camera, Sensor
 from rig.effects.base import Effect
 from rig.errors import RigError
 from rig.files import write_bytes
-from rig.processes import cores, gathered, pool_of
+from rig.processes import cores, done_by
 from synthetic import scene
 from synthetic.render import SAMPLES, Renderer, opengl
 from synthetic.sensor import expose
@@ -48,6 +52,10 @@ def render(simulation: Simulation, out: Path, images: Images, seed: int, progres
         (out / "images" / camera.name).mkdir(parents=True, exist_ok=True)
     # camera by camera, since a process that changes camera makes a new framebuffer
     work = [(f, i) for i in range(len(world.true.cameras)) for f in range(len(plan.t))]
+    there = None if images.processes else cluster.at_work()
+    if there is not None:
+        there.map(partial(_draw_there, simulation, out, images, seed), work, progress)
+        return
     count = min(images.processes or cores(), len(work))
     if count <= 1:
         _start(simulation, out, images, seed)
@@ -60,8 +68,7 @@ def render(simulation: Simulation, out: Path, images: Images, seed: int, progres
     before = os.environ.get("LP_NUM_THREADS")
     os.environ["LP_NUM_THREADS"] = "1"  # each process draws with one thread
     try:
-        with pool_of(count, "spawn", _start, (simulation, out, images, seed)) as pool:
-            gathered(pool, _draw, work, progress)
+        done_by(count, "spawn", _draw, work, progress, _start, (simulation, out, images, seed))
     finally:
         os.environ.pop("LP_NUM_THREADS") if before is None else os.environ.update(LP_NUM_THREADS=before)
 
@@ -79,11 +86,29 @@ def drawable(kind: type[Effect]) -> bool:
 
 
 _state: dict[str, Any] = {}  # of a drawing process: what it was started with
+_painter: list[ThreadPoolExecutor] = []  # of a worker of a cluster: the one thread that draws
+_opening = threading.Lock()
 
 
 def _start(simulation: Simulation, out: Path | None, images: Images, seed: int) -> None:
     _state.clear()
     _state.update(simulation=simulation, out=out, images=images, seed=seed)
+
+
+def _draw_there(simulation: Simulation, out: Path, images: Images, seed: int, item: tuple[int, int]) -> None:
+    """`_draw` by a worker of a cluster, whatever that has drawn before. OpenGL belongs to the thread that began it, so that one draws all."""
+    def draw() -> None:
+        if _state.get("out") != out:
+            if "renderer" in _state:
+                _state.pop("renderer").close()
+            os.environ["LP_NUM_THREADS"] = "1"
+            _start(simulation, out, images, seed)
+        _draw(item)
+
+    with _opening:
+        if not _painter:
+            _painter.append(ThreadPoolExecutor(1))
+    _painter[0].submit(draw).result()
 
 
 def _prepare() -> None:

@@ -60,8 +60,15 @@ def test_struts_are_homed_moved_a_little_and_sent_to_a_pose(emulated, rig, calib
     wanted = "0.01,0.02,0.44,0.01,0.03,0.05"
     planned = said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run")
     assert len(emulated.told()) == 1, "a dry run moves nothing"
+    foretold = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--json"))
+    assert not foretold["moved"] and "lengths" not in foretold and len(emulated.told()) == 1
+    assert said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--dry-run", "--quiet") == ""
     done = said(capsys, "go", path, "--rig", rig, "--pose", wanted)
     assert planned.splitlines()[0] in done
+    np.testing.assert_allclose(emulated.told()[-1], foretold["commanded"], atol=1e-6)
+    there = json.loads(said(capsys, "go", path, "--rig", rig, "--pose", wanted, "--json"))
+    np.testing.assert_allclose(there["lengths"], there["commanded"], atol=1e-6)
+    assert there["moved"] and np.linalg.norm(there["left"][:3]) < 1e-5
     T = mechanisms.of(fitted).forward(np.array(emulated.told()[-1]), fitted)
     np.testing.assert_allclose(vector(T), [float(x) for x in wanted.split(",")], atol=3e-6)  # micrometres are what the controller takes
     assert "idle" in said(capsys, "stop", rig)

@@ -111,8 +111,11 @@ def test_accepted_limbs_stand_for_vision_until_one_slips(limbed, tmp_path, capsy
     assert "limbs.json" in kept["inputs_sha256"] and set(json.loads(limbs.read_text())["provenance"]["data"]) < set(kept["data"])
     assert main(["online", str(again), "--limbs", str(limbs), "--state", str(state)]) == 0
     assert "40 poses from measuring limbs, learnt one at a time after 80 before" in capsys.readouterr().out
-    assert main(["online", str(again), "--limbs", str(limbs), "--learner", "drifting", "--state", str(tmp_path / "d.json")]) == 0
-    assert "by drifting (drift 1e-07)" in capsys.readouterr().out
+    assert main(["online", str(again), "--limbs", str(limbs), "--learner", "drifting", "--state", str(tmp_path / "d.json"), "--json"]) == 0
+    out, words = capsys.readouterr()
+    followed = json.loads(out)
+    assert followed["schema"] == "followed/1" and (followed["learner"], followed["drift"], followed["poses"]) == ("drifting", 1e-7, 40)
+    assert "by drifting (drift 1e-07)" in words and f"by {followed['first_quarter']:.3g} standard deviations" in words
     rows = [line.split(",") for line in (again / "sensors.csv").read_text().splitlines()]
     column = rows[0].index("m4")
     for row in rows[len(rows) // 2 :]:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rig import cli
@@ -179,6 +180,21 @@ def test_lines_come_seldom_and_none_means_none(monkeypatch, capsys):
 
 
 @pytest.mark.slow
+def test_plans_and_exports_are_told_to_programs(tmp_path, capsys):
+    rig, plan = str(BENCH / "fit" / "rig.toml"), str(tmp_path / "plan.csv")
+    assert main(["plan", rig, "--parts", "axes:2", "--out", plan, "--json"]) == 0
+    out, words = capsys.readouterr()
+    told = json.loads(out)
+    rows = np.loadtxt(plan, delimiter=",", skiprows=1)
+    assert told["schema"] == "planned/1" and told["state"] == "good" and told["axes"] == [f"l{k}" for k in range(1, 7)] and told["why"] in words
+    np.testing.assert_allclose(told["values"], rows[:, 1:], atol=1e-6)
+    assert main(["export", rig, "--format", "json", "--out", str(tmp_path / "g.json"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"schema": "exported/1", "format": "json", "out": str(tmp_path / "g.json"), "left_out": []}
+    assert main(["export", rig, "--format", "json", "--json"]) == 1 and "name a file or a folder with --out" in capsys.readouterr().err
+    assert main(["export", rig, "--format", "json", "--quiet"]) == 0 and json.loads(capsys.readouterr().out)
+    assert main(["plan", rig, "--parts", "axes:2", "--out", plan, "--quiet"]) == 0 and capsys.readouterr().out == ""
+
+
 def test_what_is_wrong_with_a_recording_is_told_to_programs(tmp_path, capsys):
     assert main(["check", str(BENCH / "fit"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"schema": "check/1", "usable": True, "found": [], "remarks": []}

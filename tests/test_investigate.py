@@ -20,6 +20,11 @@ def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "to do: carry out" in said and "plan1.csv (10 exposures" in said and "load 7.29 kg" in said and "--resume" in said
     plan = (tmp_path / "out" / "plan1.csv").read_bytes()
+    assert main([*words, "--resume", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema"] == "investigated/1" and not told["looks"] and not told["ended"] and "to do: carry out" in told["waiting"]
+    assert main([*words, "--resume", "--quiet"]) == 0 and capsys.readouterr().out == ""
+    assert (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main([*words, "--resume"]) == 0 and (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main(words) == 1
     assert "--resume goes on with it" in capsys.readouterr().err

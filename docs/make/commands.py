@@ -5,6 +5,8 @@ import importlib
 
 from docs.make.told import in_cell
 from rig.cli import COMMANDS
+from rig.commands.usage import SHARED
+from rig.commands.workers import add_workers
 
 HEAD = """# The commands
 
@@ -21,6 +23,8 @@ def page() -> str:
     for name, words in COMMANDS.items():
         parser = argparse.ArgumentParser(prog=f"rig {name}", add_help=False, formatter_class=_Plain)
         importlib.import_module(f"rig.commands.{name.replace('-', '_')}").arguments(parser)
+        if name in SHARED:
+            add_workers(parser)
         usage = "\n".join(f"    {line}" for line in parser.format_usage().removeprefix("usage: ").rstrip().splitlines())
         parts.append(f"\n## rig {name}\n\n{in_cell(words)}\n\n{usage}\n")
         rows = [_row(action) for action in parser._actions if action.help != argparse.SUPPRESS]

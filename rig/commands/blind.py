@@ -13,14 +13,16 @@ from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from signal import SIGKILL
+from subprocess import CompletedProcess
 from typing import TYPE_CHECKING
 
 from rig import json_file
-from rig.commands.output import add_force
+from rig.commands.output import add_force, add_result
 from rig.commands.workers import each, pool
 from rig.errors import FileError, RigError
 from rig.outside import read_bytes, shown
-from rig.processes import cores, finished
+from rig.processes import finished
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -56,9 +58,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--images", action="store_true", help="draw images: three resolutions, two lenses, blur, defocus, noise, vignetting, markers "
                         "printed as printers print; effects that pictures show (needs OpenGL)")
     parser.add_argument("--again", action="store_true", help="diagnose anew what has been diagnosed")
-    parser.add_argument("--jobs", type=int, default=cores(), help="processes at a time (default all cores)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same folders, instead of this machine's cores")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -71,7 +72,7 @@ def run(arguments: Namespace) -> None:
     _same_campaign(out / "campaign.json", settings)
     for name in ("recordings", "hashes", "truth", "diagnoses"):
         (out / name).mkdir(exist_ok=True)
-    with pool(arguments.scheduler, arguments.jobs) as workers:
+    with pool() as workers:
         undrawn = [i for i in indices if _digest(out, i) is None]
         for index in undrawn:  # what was diagnosed of another drawing is no answer to this one
             (out / "diagnoses" / f"{index:04d}.json").unlink(missing_ok=True)
@@ -84,7 +85,7 @@ def run(arguments: Namespace) -> None:
     hashed = [int(path.stem) for path in (out / "hashes").glob("*.sha256") if path.stem.isdigit()]
     known = sorted(i for i in hashed if _digest(out, i) is not None and _record(out, i) is not None)
     cases = [_unblinded(out, i, score) for i in known]
-    _report(out, settings, cases, score)
+    arguments.result = {"schema": "campaign/1", **_report(out, settings, cases, score)}
 
 
 def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) -> dict:
@@ -93,8 +94,8 @@ def _settings(arguments: Namespace, blind: ModuleType, blind_arm: ModuleType) ->
     from synthetic import blind_images
     from synthetic.pictures import drawable
 
-    if not 1 <= arguments.season <= MOST or arguments.jobs < 1 or not 0 <= arguments.seed < 1 << 63:
-        raise RigError(f"--season takes 1 to {MOST}, --jobs at least 1, --seed at least 0 and below 2^63")
+    if not 1 <= arguments.season <= MOST or not 0 <= arguments.seed < 1 << 63:
+        raise RigError(f"--season takes 1 to {MOST}, --seed at least 0 and below 2^63")
     arm = arguments.mechanism == "arm"
     if arm and arguments.images:
         raise RigError("--images are of hexapods; an arm's cases are poses: leave one of --images and --mechanism out")
@@ -190,7 +191,7 @@ def _drawn_arm_case(index: int, settings: dict, folder: Path) -> tuple[Callable[
 
 
 def _drawn(out: Path, index: int, settings: dict) -> None:
-    done = finished([sys.executable, "-P", "-c", DRAW, str(os.getpid()), json.dumps([out, index, settings])], _environment())
+    done = _child([sys.executable, "-P", "-c", DRAW, str(os.getpid()), json.dumps([out, index, settings])])
     if done.returncode:
         raise RigError(f"case {index} could not be drawn: {done.stderr.strip() or 'stopped'}")
 
@@ -206,13 +207,19 @@ def _diagnosed(out: Path, index: int) -> tuple[int, float, str | None]:
     start = time.monotonic()
     command = [sys.executable, "-P", "-c", DIAGNOSE, str(os.getpid()), out / "truth", "diagnose", out / "recordings" / f"{index:04d}", "--out",
                target, "--force", "--anyway"]  # what a case hides may be what a check refuses
-    done = finished(command, _environment())
+    done = _child(command)
     seconds = time.monotonic() - start
     if done.returncode in INTERRUPTED:
         return index, seconds, "stopped; it will be diagnosed when the campaign goes on"
     error = None if done.returncode == 0 else done.stderr.strip() or f"exit status {done.returncode}"
     write_text(record, json.dumps({"seconds": round(seconds, 2), "failed": error}) + "\n")
     return index, seconds, error
+
+
+def _child(command: list) -> CompletedProcess:
+    """A child process once it has ended; one that is ended from outside, as a system does that is short of memory, is begun once more."""
+    done = finished(command, _environment())
+    return finished(command, _environment()) if done.returncode == -SIGKILL else done
 
 
 def _environment() -> dict[str, str]:
@@ -260,11 +267,13 @@ def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
     return score.case(index, truth, diagnosis, seconds, failed)
 
 
-def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> None:
+def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> dict:
+    """What is in score.json, which is written and said, and its page."""
     from rig.commands.blind_page import campaign_page, tree
     from rig.files import write_text
 
-    write_text(out / "score.json", json.dumps({"settings": settings, **tree(cases)}, indent=1) + "\n")
+    told = {"settings": settings, **tree(cases)}
+    write_text(out / "score.json", json.dumps(told, indent=1) + "\n")
     campaign_page(out / "score.html", settings, cases)
     for f in score.figures(cases):
         goal = f", to reach {f.goal:.0%}" if f.goal is not None else ""
@@ -273,3 +282,4 @@ def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> 
     for name, value in score.medians(cases).items():
         print(f"median {name:35}{value:10.3g}")
     print(f"written: {out / 'score.json'} and {out / 'score.html'}")
+    return told

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calib.store import Calibration
     from rig.effects.parse import Kinds
     from rig.page.document import Link
-    from rig.recording import Corners, Recording
+    from rig.recording import Recording
 
     Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
 
@@ -59,16 +59,6 @@ def run(arguments: Namespace) -> None:
     if several is not None and arguments.limbs is not None:
         raise RigError("--limbs takes the poses of one recording from measuring limbs; name one")
 
-    from threadpoolctl import threadpool_limits
-
-    import calib.pipeline  # noqa: F401  libraries are limited once they are loaded
-
-    with threadpool_limits(1):  # sums of products are rounded by how many threads share them: the file is the same for any number
-        _calibrate(arguments, recording, look, progress)
-
-
-def _calibrate(arguments: Namespace, recording: Recording, look: Callable[[Corners], None], progress: Progress) -> None:
-    """Calibrate what was read. look : judges the corners once they are known"""
     out = arguments.outputs.file(arguments.out)
     page = arguments.outputs.beside(out, ".html")
     links = near(arguments, arguments.out.with_suffix(".html")) if page else []

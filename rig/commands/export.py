@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import add_force, file_or_stdout
+from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -37,22 +37,30 @@ def arguments(parser: ArgumentParser) -> None:
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
     parser.add_argument("--parts", type=int, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)")
     add_force(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
     """Write or print the geometry."""
+    if arguments.json and arguments.out is None:
+        raise RigError("--json says what was written: name a file or a folder with --out; without it what is exported is printed itself")
+    arguments.result = {"schema": "exported/1", "format": arguments.format, "out": str(arguments.out), "left_out": _export(arguments)}
+
+
+def _export(arguments: Namespace) -> list[str]:
+    """Write or print what is asked for; what it leaves out of a calibration, in words, which is said."""
     from rig.kinds import arm_of, hexapod_of
 
     if arguments.format in TABLES:
         _tables(arguments)
-        return
+        return []
     if arguments.format in CAMERAS or arguments.format in SEEN:
         (_cameras if arguments.format in CAMERAS else _seen)(arguments)
-        return
+        return []
     from rig.export import genhexkins, geometry, sdf, urdf, urdf_hexapod
     from rig.files import write_text
 
-    mechanism, remainder, lead = _machine(arguments.machine)
+    mechanism, left_out, lead = _machine(arguments.machine)
     lead = lead if arguments.lead is None else arguments.lead
     if arguments.coupling and lead is None:
         raise RigError(f"--coupling takes the screws' lead, m per revolution: give --lead, since {arguments.machine} does not state it"
@@ -71,14 +79,14 @@ def run(arguments: Namespace) -> None:
             "sdf": lambda: sdf.text(hexapod_of(mechanism), arguments.machine.stem),
             "json": lambda: geometry.as_json(_exported(mechanism)),
             "csv": lambda: geometry.as_csv(_exported(mechanism))}[arguments.format]()
-    if remainder:
-        print(f"rig export: the calibration corrects axes {', '.join(map(str, remainder))} beyond the geometry; {arguments.format} cannot hold that, "
-              "use `rig correct` where it matters", file=sys.stderr)
+    for line in left_out:
+        print(f"rig export: {line}; use `rig correct` where it matters", file=sys.stderr)
     if out is None:
         print(text, end="")
-        return
+        return left_out
     write_text(out, text)
     print(f"written: {arguments.out}")
+    return left_out
 
 
 def _tables(arguments: Namespace) -> None:
@@ -156,8 +164,8 @@ def _seen(arguments: Namespace) -> None:
     print(f"written: {arguments.out}: {', '.join(f'{name}.parquet' for name in files)}")
 
 
-def _machine(path: Path) -> tuple[Mechanism, list[int], float | None]:
-    """(mechanism, numbers of the axes that are corrected beyond it, the screws' lead in m or None) of a calibration.json or a rig.toml."""
+def _machine(path: Path) -> tuple[Mechanism, list[str], float | None]:
+    """(mechanism, what corrects beyond it, in lines, the screws' lead in m or None) of a calibration.json or a rig.toml."""
     if path.suffix == ".toml":
         from rig import design_file
 
@@ -166,16 +174,17 @@ def _machine(path: Path) -> tuple[Mechanism, list[int], float | None]:
     from calib import store
 
     calibration = store.load(path)
-    correction = calibration.correction
+    correction, left_out = calibration.correction, []
     if calibration.physics is not None and calibration.physics.undone():
         names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
-        print(f"rig export: the calibration undoes {names} beside the geometry, which no export holds; use `rig correct` where it matters",
-              file=sys.stderr)
+        left_out.append(f"the calibration undoes {names} beside the geometry, which no export holds")
     if correction.posed:
-        print(f"rig export: maps in pose space ({len(correction.posed)}) are in no export; use `rig correct` where they matter",
-              file=sys.stderr)
+        left_out.append(f"maps in pose space ({len(correction.posed)}) are in no export")
     every = correction.extension is not None
-    return correction.fitted, [i + 1 for i, part in enumerate(correction.remainder) if part is not None or every], None
+    axes = [str(i + 1) for i, part in enumerate(correction.remainder) if part is not None or every]
+    if axes:
+        left_out.append(f"the calibration corrects axes {', '.join(axes)} beyond the geometry, which no geometry holds")
+    return correction.fitted, left_out, None
 
 
 def _exported(mechanism: Mechanism) -> Hexapod | Arm:

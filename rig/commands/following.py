@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import Progress, print_unsolved
 from rig.errors import RigError
@@ -41,8 +41,9 @@ def refuse_settings(arguments: Namespace) -> None:
 
 
 def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sampled], calibration: Calibration | None, state: Path | None,
-           progress: Progress) -> Learnt:
-    """What a recording's poses taught one at a time, by the learner that is asked for; it is said how well it expected them.
+           progress: Progress) -> tuple[Learnt, dict[str, Any]]:
+    """What a recording's poses taught one at a time, by the learner that is asked for, and what --json prints of it; it is said how well it expected
+    them.
 
     sampled : makes the Sampled of the recording; state : where it is saved, or None
     Raises RigError for a state of another learner, and where no pose is left to learn
@@ -79,7 +80,10 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     if state is not None:
         learner_file.save(state, learner)
         print(f"written: {arguments.state}")
-    return Learnt(samples.frame, errors, found.source, (), (), sigma, moved)
+    first, last = _quarters(errors)
+    result = {"schema": "followed/1", "learner": arguments.learner, learner.SETTING: float(learner.setting), "poses": len(samples),
+              "poses_before": before, "first_quarter": first, "last_quarter": last, "moved_rms_m": moved, "sigma_rms_m": sigma}
+    return Learnt(samples.frame, errors, found.source, (), (), sigma, moved), result
 
 
 def _learner(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> Learner:
@@ -107,11 +111,14 @@ def _learner(arguments: Namespace, recording: Recording, calibration: Calibratio
     return learner
 
 
+def _quarters(errors: np.ndarray) -> tuple[float, float]:
+    """RMS of errors (n, 6) whitened in the first quarter of the poses, and in the last."""
+    quarter = max(len(errors) // 4, 1)
+    return float((errors[:quarter] ** 2).mean() ** 0.5), float((errors[-quarter:] ** 2).mean() ** 0.5)
+
+
 def _tell(errors: np.ndarray) -> None:
     """Say how far poses were from what was expected of them. errors : (n, 6) whitened"""
-    import numpy as np
-
-    quarter = max(len(errors) // 4, 1)
-    first, last = (float(np.sqrt(np.mean(part**2))) for part in (errors[:quarter], errors[-quarter:]))
+    first, last = _quarters(errors)
     print(f"poses were off what was expected by {first:.3g} standard deviations RMS in the first quarter, by {last:.3g} in the last "
           "(1 where nothing is left to learn)")

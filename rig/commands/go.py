@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import own_effects
-from rig.commands.output import add_port
+from rig.commands.output import add_port, add_result
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
     own_effects.argument(parser)
     add_port(parser)
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> None:
@@ -42,6 +43,7 @@ def run(arguments: Namespace) -> None:
     from rig import mechanisms
     from rig.commands.driving import design_of, driving, lengths_text, print_status
     from rig.kinds import hexapod_of
+    from rig.pose import vector
 
     if not 0 < arguments.speed <= 1:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
@@ -54,6 +56,8 @@ def run(arguments: Namespace) -> None:
     lengths = correction.uncorrected(wanted) if arguments.uncorrected else _lengths(calibration, wanted, home)
     reachable(np.array([lengths]), hexapod_of(design.mechanism), ["the pose"])
     print(f"to command: {lengths_text(lengths)}, which is {lengths_text(lengths - correction.uncorrected(wanted))} off the owner's model")
+    arguments.result = {"schema": "gone/1", "commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(),
+                        "moved": False}
     if arguments.dry_run:
         return
     with driving(design, arguments.trace, print) as driver:
@@ -65,8 +69,11 @@ def run(arguments: Namespace) -> None:
         driver.move(lengths, arguments.speed)
         status = driver.status()
         print_status(status, design)
+    arguments.result |= {"commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(), "moved": True,
+                         "lengths": status.lengths.tolist()}
     left = wanted.inv() * correction.predict(correction.inverse(wanted) + status.lengths - lengths)
     if not arguments.uncorrected:
+        arguments.result |= {"left": vector(left).tolist()}
         print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
               f"{left.rotation.magnitude() * 1e6:.1f} urad of the pose")
 

@@ -6,10 +6,10 @@ import json
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.commands.finishing import finish
-from rig.commands.output import SEED
+from rig.commands.output import SEED, add_result
 from rig.commands.trying import Rig, Waiting
 from rig.errors import RigError
 
@@ -50,6 +50,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")
     parser.add_argument("--no-home", action="store_true", help="as for rig run")
     parser.add_argument("--resume", action="store_true", help="go on with DIR, whatever it was interrupted by")
+    add_result(parser)
 
 
 def run(arguments: Namespace) -> int:
@@ -79,10 +80,19 @@ def run(arguments: Namespace) -> int:
         after = finish(arguments, rig, so_far)
     except Waiting as waiting:
         print(waiting)
+        arguments.result = _result(looks(arguments.out), "", (), str(waiting))
         return 0
+    arguments.result = _result(so_far, ended, after)
     _tell(arguments, so_far, ended, after)
     print(f"{ended}; look at {arguments.out / 'notebook.html'}")
     return 0
+
+
+def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str | None = None) -> dict[str, Any]:
+    """What --json prints. ended : why, "" while it goes on; after : what was made at the end, in lines; waiting : for whom and what, or None"""
+    from dataclasses import asdict
+
+    return {"schema": "investigated/1", "ended": ended, "waiting": waiting, "looks": [asdict(look) for look in so_far], "after": list(after)}
 
 
 def _begin(arguments: Namespace, rig: Rig) -> None:

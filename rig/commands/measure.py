@@ -35,6 +35,7 @@ def run(arguments: Namespace) -> None:
     from rig import provenance, writing
     from rig import recording as recordings
     from rig.design_file import with_cameras, with_places
+    from rig.outside import read_text
 
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
     if hold - {"poses", "lenses"}:
@@ -68,7 +69,7 @@ def run(arguments: Namespace) -> None:
         as_seen, determination = of_platform(measured), determination.from_the_hand()
     look_at = image_reader(seen) if any(recording.exposures.image) else None
     wrong = suspects(as_seen, marker_map(seen.design), collected.repeated if collected else (), look_at)
-    text = with_cameras((recording.folder / "rig.toml").read_text(encoding="utf-8-sig"), measured.design.cameras)
+    text = with_cameras(read_text(recording.folder / "rig.toml"), measured.design.cameras)
     writing.write_text(out / "rig.toml", with_places(text, listed(measured)) if moved else text)
     poses = recordings.Poses(measured.frames, measured.T_base_platform, measured.covariance)
     writing.write_poses(out / "poses.csv", poses)
@@ -110,13 +111,14 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
     from calib.samples import uncertainty
     from rig import provenance, writing
     from rig.observed import Poses
+    from rig.outside import read_bytes
 
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
     found, accepted = from_limbs.poses(arguments, recording, progress)
     out = arguments.outputs.folder(arguments.out)
     arguments.outputs.data = provenance.lines(provenance.marks(recording))
-    writing.write_bytes(out / "rig.toml", (recording.folder / "rig.toml").read_bytes())
+    writing.write_bytes(out / "rig.toml", read_bytes(recording.folder / "rig.toml"))
     poses = Poses(found.frames, found.T_base_platform, found.covariance)
     writing.write_poses(out / "poses.csv", poses)
     writing.write_angles(out / "rpy.csv", poses)

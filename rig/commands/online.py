@@ -55,7 +55,8 @@ def run(arguments: Namespace) -> None:
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
     sampled = partial(from_limbs.sampled, arguments, recording, progress)
     if arguments.learner != following.WATCHING:
-        _show(page, arguments, recording, following.follow(arguments, recording, sampled, calibration, state, progress))
+        followed, arguments.result = following.follow(arguments, recording, sampled, calibration, state, progress)
+        _show(page, arguments, recording, followed)
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None

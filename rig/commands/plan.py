@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rig.commands.output import SEED, Progress, add_force, add_page, file_or_stdout, length, near, place_of_page
+from rig.commands.output import SEED, Progress, add_force, add_page, add_result, file_or_stdout, length, near, place_of_page
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True, help="frame,l1..l6; `rig simulate --plan commands:FILE` runs it")
     add_page(parser)
     add_force(parser)
+    add_result(parser)
 
 
 class Made(NamedTuple):
@@ -60,6 +61,9 @@ def run(arguments: Namespace) -> None:
     asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
     made = asked(arguments)
     print("\n".join(filter(None, made.said)))
+    axes = list(made.design.mechanism.axes)
+    arguments.result = {"schema": "planned/1", "state": made.state, "why": made.why, "said": [line for line in made.said if line], "axes": axes,
+                        "values": made.values.tolist()}
     if page is not None:
         from calib.pages.planned import Planned, planned_page
         from rig.page.document import State, Verdict

@@ -7,6 +7,8 @@ from typing import Any, NoReturn
 PROGRESS = ("auto", "lines", "none")
 PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
 
+SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", "measure", "online", "simulate", "verify", "watch")  # work for many
+
 
 class Parser(ArgumentParser):
     """An ArgumentParser that knows the words it was given. words : the whole command line; command : the parser of the command chosen, or None"""
@@ -52,7 +54,11 @@ def meant(word: str, known: Iterable[str]) -> str:
 
 
 def add_common(parser: ArgumentParser, command: str) -> None:
-    """Add the options that all commands take."""
+    """Add the options that all commands take, and those of commands whose work is shared out."""
+    if command in SHARED:
+        from rig.commands.workers import add_workers
+
+        add_workers(parser)
     if command in PRINTED:
         return
     parser.add_argument("--quiet", action="store_true", help="say nothing but what is wrong, and results asked for on the standard output")

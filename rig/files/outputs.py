@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from rig import remote
 from rig.errors import FileError, RigError
 from rig.files.made import MANIFEST, RECORDED, Made, Origin, load
 from rig.files.staged import GROWING, Staged, folder_lock, sweep
@@ -66,6 +67,7 @@ class Outputs:
         Nothing of what the command left there before stays. Raises RigError for a file, for an input, for a folder that holds what
         this command did not make or what was changed since (unless forced) and where nothing can be written
         """
+        _here(path)
         self._no_input(path, "the recording itself")
         if path.exists() and not path.is_dir():
             raise RigError(f"{path} is a file; --out names a folder")
@@ -87,6 +89,7 @@ class Outputs:
         Raises RigError for a folder, for a file in a folder that is not there, for an input, for a file that this command did not make
         or that was changed since (unless forced), and where it cannot be written
         """
+        _here(path)
         if is_straight(path):
             if not os.access(path, os.W_OK):
                 raise FileError(path, "cannot be written: Permission denied")
@@ -120,6 +123,7 @@ class Outputs:
     def growing(self, path: Path, own: bool = False) -> Path:
         """A folder that is written in place, bit by bit, and goes on where it was interrupted; until the command's end it is marked as not
         complete, and no other command writes there. own : whether what is there is this command's, even unmarked. Raises as `folder` does"""
+        _here(path)
         self._no_input(path, "what this command reads")
         if path.exists() and not path.is_dir():
             raise RigError(f"{path} is a file; --out names a folder")
@@ -172,3 +176,9 @@ class Outputs:
         if changed:
             raise FileError(path / changed[0], f"was changed or added since `rig {self.command}` wrote the folder"
                             f"{f', and {len(changed) - 1} more' if len(changed) > 1 else ''}; name another folder, or write over it with --force")
+
+
+def _here(path: Path) -> None:
+    """Raise RigError for a place behind a URL: what commands make is put there whole or not at all, which only a file system does."""
+    if remote.is_remote(path):
+        raise RigError(f"{remote.url(path)} is behind a URL, from which recordings are read; results are written on this computer, name a place here")

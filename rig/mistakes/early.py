@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 from rig.mistakes import clocks, environment, folder, lengths, stated
 from rig.mistakes.mistake import Mistake, in_order
+from rig.outside import read_text
 from rig.recording import Recording
 
 
@@ -15,7 +16,7 @@ def early(recording: Recording) -> tuple[Mistake, ...]:
 
 def _all(recording: Recording) -> Iterator[Mistake]:
     r, design = recording, recording.design
-    yield from stated.written(tomllib.loads((r.folder / "rig.toml").read_text(encoding="utf-8-sig")))
+    yield from stated.written(tomllib.loads(read_text(r.folder / "rig.toml")))
     yield from stated.figures(design)
     yield from environment.surroundings(design)
     times = {"frames.csv": r.exposures.times()[1]}

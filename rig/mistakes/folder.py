@@ -1,11 +1,12 @@
 """Image files that are there twice, cameras that nothing is of, corners beyond the images."""
 
-import hashlib
 from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
 
+from rig import remote
+from rig.files.made import digest
 from rig.mistakes.mistake import Mistake
 from rig.recording import Recording
 
@@ -30,11 +31,11 @@ def images(recording: Recording) -> Iterator[Mistake]:
     e, sizes = recording.exposures, defaultdict(list)
     for i, name in enumerate(e.image):
         if name:
-            sizes[(recording.folder / name).stat().st_size].append(i)
+            sizes[remote.size(recording.folder / name)].append(i)
     alike = defaultdict(list)
     for rows in sizes.values():
         for i in rows if len(rows) > 1 else ():
-            alike[hashlib.sha256((recording.folder / e.image[i]).read_bytes()).digest()].append(i)
+            alike[digest(recording.folder / e.image[i])].append(i)
     twice = [rows for rows in alike.values() if len(rows) > 1 and _moved(recording, rows)]
     if twice:
         a, b = twice[0][:2]

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import design_file, table
+from rig import design_file, remote, table
 from rig.design import Chain, Free
 from rig.errors import FileError, RigError
 from rig.mechanisms import arm
 from rig.mistakes import clocks, stated
 from rig.mistakes.mistake import Mistake, in_order
+from rig.outside import read_text
 
 SPREAD = {"arm": 0.4, "hexapod": 0.08, "planar2": 0.3}  # of the rig's size, that poses of a recording have about their middle, RMS
 FILES = ("commands.csv", "frames.csv", "sensors.csv")
@@ -33,7 +34,7 @@ def _figures(folder: Path, complaint: str) -> Iterator[Mistake]:
     """rig.toml: figures that contradict each other."""
     if "rig.toml" not in complaint:
         return
-    tree = tomllib.loads((folder / "rig.toml").read_text(encoding="utf-8-sig"))
+    tree = tomllib.loads(read_text(folder / "rig.toml"))
     yield from stated.written(tree)
     for target in tree.get("target", []):
         if isinstance(target.get("marker"), float) and target["marker"] > target.get("edge", np.inf) and target["marker"] < 5:
@@ -102,7 +103,7 @@ def _times(folder: Path, complaint: str) -> Iterator[Mistake]:
         return
     times = {}
     for name in FILES:
-        if (folder / name).exists():
+        if remote.exists(folder / name):
             times[name] = table.read(folder / name, ("t",)).numbers("t")
     yield from clocks.between(times)
 
@@ -115,7 +116,7 @@ def _numbers(folder: Path, complaint: str) -> Iterator[Mistake]:
     marker, corner = rows.numbers("marker"), rows.numbers("corner")
     if corner.min() == 1 and corner.max() == 4:
         yield Mistake("corners.csv: corners are counted from 1 to 4, not from 0 to 3", "Subtract 1 from the column corner", True, 0.95)
-    tree = tomllib.loads((folder / "rig.toml").read_text(encoding="utf-8-sig"))
+    tree = tomllib.loads(read_text(folder / "rig.toml"))
     known = set()
     for target in tree.get("target", []):
         known |= set(target.get("faces", {}).values()) if "faces" in target else {m["id"] for m in target["marker"]}

@@ -21,6 +21,7 @@ from tests.bench import (
     parameters,
     physics,
     reach,
+    scale,
     watch,
     way,
 )
@@ -28,7 +29,7 @@ from tests.bench import (
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "formula": formula, "images": images,
-         "beside": beside, "watch": watch, "investigate": investigate}  # minutes: only where they are named
+         "beside": beside, "watch": watch, "investigate": investigate, "scale": scale}  # minutes: only where they are named
 
 
 def main() -> None:

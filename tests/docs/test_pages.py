@@ -15,6 +15,7 @@ import pytest
 
 from docs.make import commands, messages, rig_toml, tables
 from rig.cli import COMMANDS
+from rig.commands.usage import add_common
 from rig.errors import FileError
 from rig.kinds import Mechanism
 from rig.recording import load
@@ -87,6 +88,7 @@ def test_every_kind_of_error_and_every_mistake_is_told():
 def parsed(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(exit_on_error=False)
     importlib.import_module(f"rig.commands.{words[0].replace('-', '_')}").arguments(parser)
+    add_common(parser, words[0])
     return parser.parse_args(words[1:])
 
 

@@ -10,11 +10,11 @@ import pytest
 
 from rig import tolerances
 from rig import cli, machine, plan, recording
-from rig.commands import blind as command, workers
+from rig.commands import blind as command
 from rig.effects import ALL, BY_NAME
 from rig.effects.check import check
 from rig.effects.parse import parse
-from rig.errors import FileError, RigError
+from rig.errors import FileError
 from synthetic import blind, out_of_catalogue, score, simulation, world
 
 
@@ -212,27 +212,11 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
 
 
-def test_a_scheduler_without_dask_is_said(monkeypatch):
-    monkeypatch.setitem(sys.modules, "dask.distributed", None)
-    with pytest.raises(RigError, match="pip install distributed"), workers.pool("tcp://127.0.0.1:1", 1):
-        pass
-
-
 @pytest.mark.slow
-def test_a_campaign_on_a_cluster(tmp_path):
-    from dask.distributed import LocalCluster
-
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
-        assert cli.main(["blind", "--season", "1", "--frames", "40", "--hide", "nothing", "--out", str(tmp_path / "s"),
-                         "--scheduler", cluster.scheduler_address]) == 0
-    tree = json.loads((tmp_path / "s" / "score.json").read_text())
-    assert [t["failed"] for t in tree["cases"]] == [None]
-
-
-@pytest.mark.slow
-def test_a_campaign_end_to_end(tmp_path):
+def test_a_campaign_end_to_end(tmp_path, capsys):
     assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps",
-                     "--out", str(tmp_path / "s")]) == 0
+                     "--out", str(tmp_path / "s"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["schema"] == "campaign/1"
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     strong = [h["outcome"] for t in tree["cases"] for h in t["hidden"] if h["strength"] > 15]
     assert len(tree["cases"]) == 3 and all(outcome == "named and placed" for outcome in strong)

@@ -9,13 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from rig.cluster import everywhere
 from rig.design import Camera
 from rig.exposures import read_image
 from rig.recording import Corners, Recording
 from vision.corners import local_lens
 from vision.corners.detect import Detection, Read, grey, place
 from vision.corners.spread import PLAIN
-from vision.reading.collect import Collected, by_image, corners_of, in_parallel
+from vision.reading.collect import Collected, by_image, corners_of
+from vision.reading.shared import shared_out
 from vision.targets import MarkerMap
 
 SETTLED = 2e-3  # px, by which a lens may bend a marker otherwise than another: that moves corners by a tenth of it
@@ -48,14 +50,14 @@ def placed_anew(recording: Recording, collected: Collected, cameras: Sequence[Ca
     Raises FileError naming the image that cannot be decoded
     """
     lenses, seen = {camera.name: camera for camera in cameras}, by_image(collected.corners)
-    images = [(int(frame), camera, name) for frame, camera, name in zip(recording.exposures.frame, recording.exposures.camera,
-                                                                        recording.exposures.image) if name and (int(frame), camera) in seen]
+    images = [(int(frame), camera, name, Read(*seen[int(frame), camera])) for frame, camera, name in
+              zip(recording.exposures.frame, recording.exposures.camera, recording.exposures.image) if name and (int(frame), camera) in seen]
+    folder, spread = everywhere(recording.folder), collected.spread
 
-    def one(image: tuple[int, str, str]) -> Detection:
-        frame, camera, name = image
-        full = grey(read_image(recording.folder / name), False)[1]
-        return place(full, lenses[camera], marker_map, Read(*seen[frame, camera]), collected.spread.get(camera, PLAIN), reach=0.0)
+    def one(image: tuple[int, str, str, Read]) -> Detection:
+        _, camera, name, read = image
+        return place(grey(read_image(folder / name), False)[1], lenses[camera], marker_map, read, spread.get(camera, PLAIN), reach=0.0)
 
-    found = in_parallel(one, images, progress)
-    corners, correlation = corners_of([(frame, camera, d) for (frame, camera, _), d in zip(images, found)])
+    found = shared_out(one, images, progress)
+    corners, correlation = corners_of([(frame, camera, d) for (frame, camera, *_), d in zip(images, found)])
     return replace(collected, corners=corners, correlation=correlation, cameras=lenses)

@@ -1,18 +1,17 @@
 """Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from pathlib import Path
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from rig.cluster import everywhere
 from rig.design import Camera, Design
 from rig.errors import FileError
 from rig.exposures import read_image, refused, undecodable
-from rig.processes import cores, gathered
 from rig.recording import Corners, Recording
 from vision.corners.detect import Detection, Read, detect, grey, place, search
 from vision.corners.spread import PLAIN, Spread, empty_profile, learn
@@ -20,15 +19,13 @@ from vision.measure import Measurement
 from vision.observations import correlation_of
 from vision.predict import expected
 from vision.reading import expect
+from vision.reading.shared import in_parallel, shared_out
 from vision.targets import MarkerMap
 
 LEARN_FROM = 12  # images of each camera from which its edge spread is learnt
 ROUNDS = 4  # of fitting and learning; the edges' width and shape settle together
 FALSE_ALARM = 4.0  # px; a marker found farther from where it was expected is not it
 
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 Found = tuple[int, str, Detection]  # frame number, camera name, what that image shows
 
 
@@ -94,7 +91,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     another marker is in the place of one that is not, and on a rig that is not as it is stated.
     Raises FileError naming the image that cannot be decoded or has another size than its camera.
     """
-    e, design = recording.exposures, recording.design
+    e, design, folder = recording.exposures, recording.design, everywhere(recording.folder)
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
     tell = _counter(progress, len(work))
     found: dict[int, Detection] = {}
@@ -102,7 +99,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
 
     def searched(k: int) -> tuple[np.ndarray, Read]:
         _, camera, name = work[k]
-        eight, full = grey(_image(recording, camera, name))
+        eight, full = grey(_image(folder, camera, name))
         return full, search(eight, marker_map)
 
     whole = dict(zip(taught, in_parallel(searched, taught, None)))
@@ -129,24 +126,26 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     whole.clear()
     lenses = {camera.name: cameras.get(camera.name, camera) for _, camera, _ in work}
 
-    def one(k: int, T: RigidTransform | None = None) -> Detection:
-        _, camera, name = work[k]
-        return detect(_image(recording, camera, name), lenses[camera.name], marker_map, spread[camera.name],
-                      T if camera.name in cameras else None, doubtful=True)
+    expecting = frozenset(cameras)
+
+    def one(item: tuple[Camera, str, RigidTransform | None]) -> Detection:
+        camera, name, T = item
+        return detect(_image(folder, camera, name), lenses[camera.name], marker_map, spread[camera.name],
+                      T if camera.name in expecting else None, doubtful=True)
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}
-        found.update(zip(rest, in_parallel(lambda k: one(k, commanded.get(work[k][0])), rest, tell)))
+        found.update(zip(rest, shared_out(one, [(*work[k][1:], commanded.get(work[k][0])) for k in rest], tell)))
     else:
         found.update(_one_after_the_other(work, rest, found, one, known, design, tell))
     rows = [(frame, camera.name, found[k]) for k, (frame, camera, _) in enumerate(work)]
     return Collected(*corners_of(rows), _left_out(rows), _by_camera(rows, "blur"), _by_camera(rows, "noise"), spread, lenses)
 
 
-def _image(recording: Recording, camera: Camera, name: str) -> np.ndarray:
-    image = read_image(recording.folder / name)
+def _image(folder: Path, camera: Camera, name: str) -> np.ndarray:
+    image = read_image(folder / name)
     if image.shape[:2] != (camera.height, camera.width):
-        raise FileError(recording.folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
+        raise FileError(folder / name, f"is {image.shape[1]} x {image.shape[0]} px, but camera {camera.name!r} has "
                         f"{camera.width} x {camera.height} px")
     return image
 
@@ -157,7 +156,7 @@ def _some(indices: list[int]) -> list[int]:
 
 
 def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], found: dict[int, Detection],
-                         one: Callable[[int, RigidTransform | None], Detection], known: expect.Expectation, design: Design,
+                         one: Callable[[tuple[Camera, str, RigidTransform | None]], Detection], known: expect.Expectation, design: Design,
                          tell: Callable[..., None] | None) -> dict[int, Detection]:
     """{index: Detection} of images frame by frame, each expected where the frame before was."""
     out: dict[int, Detection] = {}
@@ -165,11 +164,7 @@ def _one_after_the_other(work: list[tuple[int, Camera, str]], rest: list[int], f
     for frame in sorted({frame for frame, *_ in work}):
         own = [k for k, (number, *_) in enumerate(work) if number == frame]
         fresh = [k for k in own if k in rest]
-
-        def here(k: int, T: RigidTransform | None = last) -> Detection:
-            return one(k, T)
-
-        out.update(zip(fresh, in_parallel(here, fresh, tell)))
+        out.update(zip(fresh, in_parallel(one, [(*work[k][1:], last) for k in fresh], tell)))
         last = known.locate(corners_of([(frame, work[k][1].name, out.get(k) or found[k]) for k in own])[0], frame, design)
     return out
 
@@ -219,7 +214,7 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
     camera_of = {camera.name: camera for camera in measurement.design.cameras}
     seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
     bodies = {k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()}
-    work = []
+    work, folder = [], everywhere(recording.folder)
     for i, name in enumerate(recording.exposures.image):
         frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
         if not name or camera is None or camera.mount == "moving":
@@ -232,29 +227,20 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
             if fresh:
                 work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
 
+    spread = collected.spread
+
     def one(item: tuple[int, Camera, str, np.ndarray, np.ndarray]) -> Detection:
-        frame, camera, name, numbers, places = item
-        _, full = grey(read_image(recording.folder / name))
-        return place(full, camera, marker_map, Read(numbers, places), collected.spread.get(camera.name, PLAIN), verify=True)
+        _, camera, name, numbers, places = item
+        _, full = grey(read_image(folder / name))
+        return place(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
 
     found = []
-    for (frame, camera, _, numbers, places), d in zip(work, in_parallel(one, work, progress)):
+    for (frame, camera, _, numbers, places), d in zip(work, shared_out(one, work, progress)):
         at = [numbers.tolist().index(number) for number in d.marker]
         near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
         found.append((frame, camera.name, d.take(near)))
     extra, correlation = corners_of(found)
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
-
-
-def in_parallel(one: Callable[[Item], Result], work: Sequence[Item], progress: Callable[..., None] | None) -> list[Result]:
-    """What comes of each item of some work on images, in order. progress : called with (done, of), or None"""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # images are the parallel unit
-    try:
-        with ThreadPoolExecutor(cores()) as pool:
-            return gathered(pool, one, work, progress)
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def corners_of(found: Sequence[Found]) -> tuple[Corners, np.ndarray]:

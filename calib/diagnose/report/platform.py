@@ -31,12 +31,13 @@ from calib.diagnose.report.schema import (
     suggestion_entries,
     write,
 )
-from rig import machine_file
+from rig import machine_file, remote
 from rig.effects.base import Effect
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.marker_swap import MarkerSwap
 from rig.files import write_text
 from rig.origin import Origin
+from rig.outside import read_text
 from rig.recording import Recording
 from vision.bundle.places import Move
 
@@ -173,5 +174,5 @@ def copy_recording(folder: Path, recording: Recording) -> None:
     """Copy a recording's own rig.toml, commands, frames and sensors into a folder; of several, the first one's."""
     recording = recording.apart[0].recording
     for name in ("rig.toml", "commands.csv", "frames.csv", "sensors.csv"):
-        if (recording.folder / name).exists():
-            write_text(folder / name, (recording.folder / name).read_text(encoding="utf-8-sig"))
+        if remote.exists(recording.folder / name):
+            write_text(folder / name, read_text(recording.folder / name))

@@ -1,0 +1,125 @@
+"""Folders behind a URL that fsspec knows (s3://, gs://, memory://, https://): a path whose first part is the scheme, as pathlib folds it.
+
+`Path("s3://bucket/rec") / "frames.csv"` stands for s3://bucket/rec/frames.csv wherever outside data are read. Files come one by one as they are
+read and are kept nowhere; `filecache::s3://bucket/rec` is fsspec's word for keeping them. Nothing is ever written there.
+"""
+
+import os
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rig.errors import FileError, MissingLibrary
+
+SCHEME = re.compile(r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:")
+LISTED = 64  # folders whose entries are remembered
+
+
+def is_remote(path: Path) -> bool:
+    """Whether a path stands for a URL: a scheme is among its parts, from which on alone it counts, and no folder here has that name."""
+    return _scheme(path) is not None
+
+
+def url(path: Path) -> str:
+    """The URL that a path stands for. Raises ValueError where it stands for none."""
+    at = _scheme(path)
+    if at is None:
+        raise ValueError(f"{path} stands for no URL")
+    return f"{path.parts[at]}//{'/'.join(path.parts[at + 1 :])}"
+
+
+def _scheme(path: Path) -> int | None:
+    """Which of a path's parts is the scheme from which on it is a URL, None where none is."""
+    parts = Path(path).parts
+    found = [k for k, part in enumerate(parts) if part.endswith(":") and SCHEME.fullmatch(part)]
+    return found[-1] if found and not os.path.exists(Path(*parts[: found[-1] + 1])) else None
+
+
+def absolute(path: Path) -> Path:
+    """The same place as it is called from anywhere, links followed."""
+    return path if is_remote(path) else path.resolve()
+
+
+def exists(path: Path) -> bool:
+    """Whether a file is there, or a folder with anything in it. Raises FileError where that cannot be asked."""
+    return path.exists() if not is_remote(path) else path.name in _entries(url(path.parent)) or bool(_entries(url(path)))
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there. Raises FileError where that cannot be asked."""
+    return path.is_dir() if not is_remote(path) else bool(_entries(url(path)))
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether nothing is in a folder."""
+    return not names(folder)
+
+
+def names(folder: Path) -> list[str]:
+    """What is in a folder, sorted."""
+    return sorted(_entries(url(folder)) if is_remote(folder) else os.listdir(folder))
+
+
+def size(path: Path) -> int | None:
+    """Bytes of a file as its folder's listing says, None where there is no such file. Raises FileError where that cannot be asked."""
+    if is_remote(path):
+        return _entries(url(path.parent)).get(path.name)
+    return path.stat().st_size if path.is_file() else None
+
+
+def read(path: Path, most: int) -> bytes:
+    """The first bytes of a file behind a URL, all of it where it has no more than `most`.
+
+    Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes wrong
+    """
+    system, place = _system(url(path))
+    try:
+        return system.cat_file(place, end=most)
+    except (FileNotFoundError, IsADirectoryError):
+        raise FileNotFoundError(url(path)) from None
+    except Exception as error:  # every kind of place has kinds of its own
+        raise _refused(url(path), error) from error
+
+
+def look_anew() -> None:
+    """Forget what folders listed: another recording is read, or the same one again."""
+    _entries.cache_clear()
+
+
+@lru_cache(LISTED)
+def _entries(folder: str) -> dict[str, int]:
+    """{name: bytes} of what is in a folder behind a URL; nothing where there is none."""
+    system, place = _system(folder)
+    try:
+        found = system.ls(place, detail=True)
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except Exception as error:
+        raise _refused(folder, error) from error
+    sizes = {str(one["name"]).strip("/"): int(one.get("size") or 0) for one in found}
+    return {name.rsplit("/", 1)[-1]: bytes_ for name, bytes_ in sizes.items() if name != place.strip("/")}
+
+
+def _system(address: str) -> tuple[Any, str]:
+    """(fsspec's file system, the place in it) of a URL."""
+    try:
+        from fsspec import available_protocols
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise MissingLibrary(f"{address} is read by fsspec: pip install 'rig[remote]'") from None
+    try:
+        return url_to_fs(address)
+    except ImportError as error:
+        raise MissingLibrary(f"{address} takes one package more: {error}") from None
+    except ValueError as error:
+        from difflib import get_close_matches
+
+        near = get_close_matches(address.split("://")[0], available_protocols(), 1)
+        raise FileError(address, f"{error}" + (f"; did you mean {near[0]}://?" if near else "")) from None
+    except Exception as error:
+        raise _refused(address, error) from error
+
+
+def _refused(address: str, error: Exception) -> FileError:
+    return FileError(address, f"cannot be read: {str(error) or type(error).__name__}")
