@@ -148,7 +148,7 @@ def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:
     Turning draws z ~ N(0, I) changes no covariance; of many hundred unknowns that cameras, lenses and prints have, poses feel a few score
     """
     common = adjustment.platform_common
-    own = np.linalg.solve(np.linalg.cholesky(adjustment.platform_given_cameras), common).reshape(-1, common.shape[2])
+    own = np.linalg.solve(np.linalg.cholesky(adjustment.platform_given_cameras), common).reshape(6 * len(common), common.shape[2])
     squares, turn = np.linalg.eigh(own.T @ own)
     turn = turn[:, ::-1]
     turned = replace(adjustment, platform_common=common @ turn, shared_factor=adjustment.shared_factor @ turn)
