@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rig.commands import checking, from_limbs
 from rig.commands.output import Progress, add_force, add_recording, add_result, near, print_unsolved
 from rig.errors import RigError
+from rig.outside import read_bytes, read_text
 
 if TYPE_CHECKING:
     from rig.design import Camera
@@ -35,7 +36,6 @@ def run(arguments: Namespace) -> None:
     from rig import provenance, writing
     from rig import recording as recordings
     from rig.design_file import with_cameras, with_places
-    from rig.outside import read_text
 
     hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
     if hold - {"poses", "lenses"}:
@@ -111,7 +111,6 @@ def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) ->
     from calib.samples import uncertainty
     from rig import provenance, writing
     from rig.observed import Poses
-    from rig.outside import read_bytes
 
     if arguments.hold or arguments.detect or arguments.places != "auto":
         raise RigError("--hold, --places and --detect are about cameras and what they see; leave them out with --limbs")
