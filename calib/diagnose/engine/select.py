@@ -217,22 +217,29 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
         if better is not None and not held and convincing(better.alternative.score, count, size, policy):
             fit, findings = problem.in_place(better.fit, number), []
             continue
-        if not held and _outdone(problem, model, own):  # only now: what has no name may be likelier than one name, and not than the next
+        if not held and _outdone(problem, model, fit, own):  # only now: what has no name may be likelier than one name, and not than the next
             fit, findings = problem.remove_term(fit, number), []
             continue
         findings.append(Finding(number, own, [a for a in ranked if alike(a, policy)]))
     return fit, sorted(findings, key=lambda f: -f.score.delta_chi2)
 
 
-def _outdone(problem: Problem[Fit, Model, C], model: Model, score: Score[C]) -> bool:
+def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
     """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show,
-    or the place is another."""
+    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted, as much as any function."""
     if score.candidate.vector:
         return False
     size, place = problem.linear(model).size, score.candidate.place
-    smooth = [u.evidence(size) for u in problem.lack_of_fit(model)
-              if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))]
-    return bool(smooth) and max(smooth) > score.evidence(size) + problem.policy.alike
+
+    def there(at: Model) -> list[LackOfFit]:
+        return [u for u in problem.lack_of_fit(at) if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))]
+
+    smooth = there(model)
+    best = max((u.evidence(size) for u in smooth), default=-np.inf)
+    if best <= score.evidence(size) + problem.policy.alike:
+        return False
+    explained = max(u.delta_chi2 * (u.dispersion or 1.0) for u in smooth)
+    return bool(there(problem.residual(fit))) or best > explained - score.complexity(size) + problem.policy.alike
 
 
 def supported(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
