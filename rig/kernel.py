@@ -39,6 +39,16 @@ class Kernel:
 
         return types.Dispatcher(self._compiled)
 
+    @property
+    def py_func(self) -> Callable:
+        """The function as written, by which numba takes it into another kernel where its options say so."""
+        return self._function
+
+    @property
+    def targetoptions(self) -> dict[str, Any]:
+        """Options of numba.njit, under the name by which numba looks for them."""
+        return self._options
+
     def __call__(self, *arguments: Any) -> Any:
         return self._compiled(*arguments)
 

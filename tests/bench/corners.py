@@ -162,7 +162,7 @@ def _speed(folder):
         seconds = np.array(seconds)
         ours, ratio = np.median(seconds, axis=0) * 1e3, np.median(seconds[:, 1:] / seconds[:, :1], axis=0)
         figure = f"{width} x {height}, one thread, {len(images)} images: corners / OpenCV's detectMarkers with SUBPIX"
-        yield figure + ", cold", f"{ours[1]:.1f} / {ours[0]:.1f} ms = {ratio[0]:.2f}", "<= 2"
-        yield figure + ", pose expected", f"{ours[2]:.1f} / {ours[0]:.1f} ms = {ratio[1]:.2f}", "<= 0.7"
+        yield figure + ", cold", f"{ours[1]:.1f} / {ours[0]:.1f} ms = {ratio[0]:.2f}", "<= 1.0"
+        yield figure + ", pose expected", f"{ours[2]:.1f} / {ours[0]:.1f} ms = {ratio[1]:.2f}", "<= 0.35"
         yield f"{width} x {height}: markers seen, cold, pose expected, OpenCV", f"{seen[1]}, {seen[2]}, {seen[0]}", ""
     cv2.setNumThreads(threads)

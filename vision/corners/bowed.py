@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.cholesky import factor, solve
-from vision.corners.edges import EdgePixels
-from vision.corners.gauss_newton import CHUNK, LIGHT, ROWS, UNKNOWNS, Square, Work
+from vision.corners.edges import KINDS, EdgePixels
+from vision.corners.gauss_newton import LIGHT, UNKNOWNS, Square, Work
 from vision.corners.jit import kernel
+from vision.corners.shares import ROWS, STRIP
 
 TERMS = 3  # x^2, x y, y^2 of local coordinates, which reach to about 1 on either side of a square's middle
 PLAUSIBLE = 0.02  # of the grey of white, that light may be bowed by from a square's middle to its rim
@@ -27,22 +28,22 @@ class Bow(NamedTuple):
 
 
 @kernel
-def bow(pixels: EdgePixels, count: int, square: Square, weights: float, work: Work, found: Bow) -> float:
+def bow(pixels: EdgePixels, square: Square, weights: float, work: Work, found: Bow) -> float:
     """Take bowed light out of a fit whose last step was made: its Square moves on, and work.x and the residuals in work.rows with it.
 
-    pixels : EdgePixels, the first `count`, of all of which work holds rows; weights : sum of their weights; found : Bow, overwritten
+    pixels : EdgePixels, of all of which work holds rows; weights : sum of their weights; found : Bow, overwritten
     Returns the weighted square of the residuals that is left, grey levels
     """
     gain, own, sizes, light = found.gain, found.own, found.sizes, square.light
-    H, L, x, rows = work.H, work.L, work.x, work.rows
+    H, L, x, rows, count = work.H, work.L, work.x, work.rows, pixels.first[KINDS]
     left = H[ROWS - 1, ROWS - 1]
     for k in range(UNKNOWNS):
         left -= H[ROWS - 1, k] * x[k]
     held = max(left, 1e-12) / max(weights - UNKNOWNS, 1.0) / (PLAUSIBLE * light[0]) ** 2
     black = light[3] / light[0]
-    cross, within, E = np.zeros((TERMS, ROWS)), np.zeros((TERMS, TERMS)), np.empty((TERMS, CHUNK), np.float32)
-    for start in range(0, count, CHUNK):
-        J, size = rows[start // CHUNK], min(CHUNK, count - start)
+    cross, within, E = np.zeros((TERMS, ROWS)), np.zeros((TERMS, TERMS)), np.empty((TERMS, STRIP), np.float32)
+    for start in range(0, count, STRIP):
+        J, size = rows[start // STRIP], min(STRIP, count - start)
         _bowed(pixels, start, size, black, J, E)
         for a in range(TERMS):
             for i in range(ROWS):
@@ -82,8 +83,8 @@ def bow(pixels: EdgePixels, count: int, square: Square, weights: float, work: Wo
             square.g[k // 3, k % 3] -= gain[a, k] * sizes[a]
         for k in range(6):
             light[k] -= gain[a, LIGHT + k] * sizes[a]
-    for start in range(0, count, CHUNK):
-        J, size = rows[start // CHUNK], min(CHUNK, count - start)
+    for start in range(0, count, STRIP):
+        J, size = rows[start // STRIP], min(STRIP, count - start)
         _bowed(pixels, start, size, black, J, E)
         for a in range(TERMS):
             for k in range(size):
@@ -93,8 +94,8 @@ def bow(pixels: EdgePixels, count: int, square: Square, weights: float, work: Wo
 
 @kernel
 def _bowed(pixels: EdgePixels, start: int, size: int, black: float, J: np.ndarray, E: np.ndarray) -> None:
-    """E (TERMS, CHUNK) what bowed light does to the pixels start .. start + size, whose rows are J. black : grey of black over that of white"""
+    """E (TERMS, STRIP) what bowed light does to the pixels start .. start + size, whose rows are J. black : grey of black over that of white"""
     for k in range(size):
-        u, v = pixels.points[start + k, 0], pixels.points[start + k, 1]
+        u, v = pixels.x[start + k], pixels.y[start + k]
         share = J[LIGHT, k] + np.float32(black) * J[LIGHT + 3, k]
         E[0, k], E[1, k], E[2, k] = share * u * u, share * u * v, share * v * v

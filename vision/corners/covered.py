@@ -5,7 +5,7 @@ A pixel far off counts little; one beside it, where the edge of what covers the 
 
 import numpy as np
 
-from vision.corners.edges import EdgePixels
+from vision.corners.edges import KINDS, EdgePixels
 from vision.corners.gauss_newton import LIGHT
 from vision.corners.jit import kernel
 
@@ -15,27 +15,26 @@ FITS = 0.999  # of a residual that is counted whole
 
 
 @kernel
-def _at(point: np.ndarray, g: np.ndarray, top: int) -> tuple[int, int]:
-    """(column, row) of the cell of a point (2,) in local ideal coordinates, counted from 0 and held within 0 .. top."""
-    xi, yi = float(point[0]), float(point[1])
+def _at(xi: float, yi: float, g: np.ndarray, top: int) -> tuple[int, int]:
+    """(column, row) of the cell of a point in local ideal coordinates, counted from 0 and held within 0 .. top."""
     w = 1.0 / (g[2, 0] * xi + g[2, 1] * yi + 1.0)
     X, Y = (g[0, 0] * xi + g[0, 1] * yi + g[0, 2]) * w, (g[1, 0] * xi + g[1, 1] * yi + g[1, 2]) * w
     return min(max(int(X + 2), 0), top), min(max(int(Y + 2), 0), top)
 
 
 @kernel
-def covered(pixels: EdgePixels, count: int, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray) -> bool:
+def covered(pixels: EdgePixels, g: np.ndarray, rows: np.ndarray, told: np.ndarray, hidden: np.ndarray) -> bool:
     """Whether something covers part of a square; added to hidden (k, k) bool, the cells that it hides, and their neighbours.
 
-    pixels : EdgePixels, the first `count`; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; told : (2, k, k) overwritten
+    pixels : EdgePixels; g : (3, 3) homography to cells; rows : as `accumulate` leaves them; told : (2, k, k) overwritten
     """
-    chunk, top = rows.shape[2], hidden.shape[0] - 1
+    strip, top, count = rows.shape[2], hidden.shape[0] - 1, pixels.first[KINDS]
     told[:] = 0
     for k in range(count):
-        J = rows[k // chunk]
-        root = J[LIGHT, k % chunk] + J[LIGHT + 3, k % chunk]  # the shares of white and of black, which a pixel that counts less has less of
+        J = rows[k // strip]
+        root = J[LIGHT, k % strip] + J[LIGHT + 3, k % strip]  # the shares of white and of black, which a pixel that counts less has less of
         if root > 0:
-            i, j = _at(pixels.points[k], g, top)
+            i, j = _at(pixels.x[k], pixels.y[k], g, top)
             told[0, j, i] += 1
             told[1, j, i] += root < FITS
     found = False
@@ -48,11 +47,14 @@ def covered(pixels: EdgePixels, count: int, g: np.ndarray, rows: np.ndarray, tol
 
 
 @kernel
-def uncovered(pixels: EdgePixels, count: int, g: np.ndarray, hidden: np.ndarray) -> int:
-    """Keep, of the first `count` EdgePixels, those outside hidden cells (k, k), in place; returns how many. g : (3, 3) homography to cells"""
-    kept, top = 0, hidden.shape[0] - 1
-    for k in range(count):
-        i, j = _at(pixels.points[k], g, top)
-        pixels.points[kept], pixels.greys[kept], pixels.places[kept] = pixels.points[k], pixels.greys[k], pixels.places[k]
-        kept += not hidden[j, i]
+def uncovered(pixels: EdgePixels, g: np.ndarray, hidden: np.ndarray) -> int:
+    """Keep those EdgePixels that lie outside hidden cells (k, k), in place; returns how many. g : (3, 3) homography to cells"""
+    kept, top, start = 0, hidden.shape[0] - 1, 0
+    for kind in range(KINDS):
+        for k in range(start, pixels.first[kind + 1]):
+            i, j = _at(pixels.x[k], pixels.y[k], g, top)
+            pixels.x[kept], pixels.y[kept], pixels.greys[kept] = pixels.x[k], pixels.y[k], pixels.greys[k]
+            pixels.i[kept], pixels.j[kept], pixels.looks[kept] = pixels.i[k], pixels.j[k], pixels.looks[k]
+            kept += not hidden[j, i]
+        start, pixels.first[kind + 1] = pixels.first[kind + 1], kept
     return kept

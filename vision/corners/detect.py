@@ -113,12 +113,18 @@ def grey(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.
 
 
 @lru_cache
-def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
-    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read."""
+def dictionary_reader(name: str, only: tuple[int, ...] = ()) -> cv2.aruco.ArucoDetector:
+    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read.
+
+    only : identities that are read, numbered in this order, or () for all; each that there is takes time at every place that may show one
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    if only:
+        dictionary = cv2.aruco.Dictionary(dictionary.bytesList[list(only)], dictionary.markerSize, dictionary.maxCorrectionBits)
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def detect(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
@@ -160,12 +166,10 @@ def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
     found: dict[int, list[np.ndarray]] = {}
     left_out = []
     for name in dict.fromkeys(marker_map.dictionary):
-        corners, ids, _ = dictionary_reader(name).detectMarkers(eight)
-        seen = np.zeros(0, int) if ids is None else ids.ravel().astype(int)
-        rows = marker_map.rows(seen).tolist() if len(seen) else []
-        for number, row, quad in zip(seen.tolist(), rows, corners):
-            if row >= 0 and marker_map.dictionary[row] == name:
-                found.setdefault(number, []).append(quad)
+        own = tuple(number for number, other in zip(marker_map.id.tolist(), marker_map.dictionary) if other == name)
+        corners, seen, _ = dictionary_reader(name, own).detectMarkers(eight)
+        for k, quad in zip([] if seen is None else seen.ravel().astype(int).tolist(), corners):
+            found.setdefault(own[k], []).append(quad)
     for number in [number for number, quads in found.items() if len(quads) > 1]:
         left_out.append(LeftOut(number, f"seen {len(found.pop(number))} times in one image", True))
     numbers = sorted(found)

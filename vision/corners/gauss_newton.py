@@ -10,18 +10,21 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.corners.cholesky import factor, solve
-from vision.corners.edges import REACH, EdgePixels
-from vision.corners.jit import kernel
-from vision.corners.pattern import Meeting, Tables, edge, pattern, wide_pattern
+from vision.corners.edges import KINDS, EdgePixels
+from vision.corners.jit import kernel, kernel_part
+from vision.corners.pattern import Tables
+from vision.corners.shares import ROWS, STRIP, Seen, shares
 
 UNKNOWNS = 15
 LIGHT = 9  # the first unknown of the greys
-ROWS = 16  # the unknowns and the residual: one row each of what is multiplied out
-CHUNK = 256  # pixels multiplied out at a time; their rows fit the processor's first cache
+UNLIMITED = 1e9  # grey levels, in place of a limit of residuals while their scatter is not known
 SATURATED = 254.5  # 255ths of white; a brighter pixel says only that there is at least so much light
 FIRM = 0.3  # px; a step that moves corners farther leaves the width as it is
 NARROWEST, WIDEST = 0.25, 6.0  # px, that an edge's width may become
 OK, NO_PIXELS, SINGULAR, WANDERED, NO_CONTRAST, UNSETTLED, NOT_READ = range(7)
+PADDED = 32  # pixels; strips end in zeros up to a multiple of so many
+_0, _1, _SATURATED = np.float32(0), np.float32(1), np.float32(SATURATED)
+_R = tuple(np.uintp(k * STRIP) for k in range(ROWS))
 
 
 class Square(NamedTuple):
@@ -41,8 +44,8 @@ class Work(NamedTuple):
     """What the steps of a fit are computed in.
 
     H : (ROWS, ROWS) normal equations, the last row and column the residual's; L : (UNKNOWNS, UNKNOWNS) Cholesky factor; x : (UNKNOWNS,) step
-    J : (8, 8) Jacobian of the corners to g; rows : (chunks, ROWS, CHUNK) float32 Jacobian of the pixels' greys, and residuals
-    sizes : (k,) float32, |residual| of the pixels that are not saturated
+    J : (8, 8) Jacobian of the corners to g; rows : (strips, ROWS, STRIP) float32 Jacobian of the pixels' greys, and residuals
+    sizes : (k,) float32, |residual| of the pixels, -1 of those that are saturated
     """
 
     H: np.ndarray
@@ -54,11 +57,10 @@ class Work(NamedTuple):
 
 
 class Counted(NamedTuple):
-    """weights : sum of the pixels' weights; doubted : pixels that count less; told : pixels that are not saturated, the first of `sizes`."""
+    """weights : sum of the pixels' weights; doubted : pixels that count less."""
 
     weights: float
     doubted: int
-    told: int
 
 
 class Moved(NamedTuple):
@@ -70,85 +72,80 @@ class Moved(NamedTuple):
 
 
 @kernel
-def accumulate(pixels: EdgePixels, count: int, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work) -> Counted:
+def accumulate(pixels: EdgePixels, cells: np.ndarray, square: Square, tables: Tables, limit: float, lit: bool, work: Work) -> Counted:
     """work.H (ROWS, ROWS) = J J' over pixels, whose last row of J is the residual.
 
-    pixels : EdgePixels, the first `count`; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
+    pixels : EdgePixels; cells : of `Printed`; square : Square, at which J is taken; tables : Tables
     limit : grey levels, of a trusted residual; lit : whether the square's greys are known. Before that only their part of J is of use.
     """
-    points, greys, places = pixels.points, pixels.greys, pixels.places
-    g, s, slope, light = square.g, square.width, square.slope, square.light
-    H, rows, sizes, table_x, table_y = work.H, work.rows, work.sizes, tables.x, tables.y
+    H, count = work.H, pixels.first[KINDS]
     H[:] = 0
-    weights, doubted, told = 0.0, 0, 0
-    g00, g01, g02, g10, g11, g12, g20, g21 = g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1]
-    s00, s01, s10, s11 = slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1]
-    gu, gv = g20 * s00 + g21 * s10, g20 * s01 + g21 * s11
-    for start in range(0, count, CHUNK):
-        size = min(CHUNK, count - start)
-        J = rows[start // CHUNK]
-        for k in range(size):
-            xi, yi = float(points[start + k, 0]), float(points[start + k, 1])
-            w = 1.0 / (g20 * xi + g21 * yi + 1.0)
-            X, Y = (g00 * xi + g01 * yi + g02) * w, (g10 * xi + g11 * yi + g12) * w
-            kind, i, j = places[start + k, 0], places[start + k, 1], places[start + k, 2]
-            p, dX, dY, dB = 0.0, 0.0, 0.0, 0.0
-            if kind == 0:
-                Xx, Xy, Yx, Yy = g00 - X * g20, g01 - X * g21, g10 - Y * g20, g11 - Y * g21
-                Xu, Xv, Yu, Yv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11, Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
-                ax, ay = math.sqrt(Xu * Xu + Xv * Xv), math.sqrt(Yu * Yu + Yv * Yv)
-                meeting = Meeting(s * ax * w, s * ay * w, (Xu * Yu + Xv * Yv) / (ax * ay), (Xu * gu + Xv * gv) / (ax * ax),
-                                  (Yu * gu + Yv * gv) / (ay * ay))
-                if REACH * max(meeting.sx, meeting.sy) > 1:
-                    p, dX, dY, dB = wide_pattern(cells, i, j, X, Y, meeting, table_x, table_y)
-                else:
-                    p, dX, dY, dB = pattern(cells, i, j, X, Y, meeting, table_x, table_y)
-            elif abs(kind) == 1:
-                Xx, Xy = g00 - i * g20, g01 - i * g21  # of the edge, not of the pixel: w times the line's distance is exact so
-                Xu, Xv = Xx * s00 + Xy * s10, Xx * s01 + Xy * s11
-                across = kind / (s * w * math.sqrt(Xu * Xu + Xv * Xv))
-                h = (X - i) * across
-                p, e = edge(table_x, h)
-                dX, dB = e * across, -e * h
-            else:
-                Yx, Yy = g10 - j * g20, g11 - j * g21
-                Yu, Yv = Yx * s00 + Yy * s10, Yx * s01 + Yy * s11
-                across = 0.5 * kind / (s * w * math.sqrt(Yu * Yu + Yv * Yv))
-                h = (Y - j) * across
-                p, e = edge(table_y, h)
-                dY, dB = e * across, -e * h
-            white, black = light[0] + light[1] * xi + light[2] * yi, light[3] + light[4] * xi + light[5] * yi
-            q, root = 1 - p, 1.0
-            r = greys[start + k] - white * p - black * q
-            if greys[start + k] > SATURATED and r < 0:
-                root = 0.0  # it may be brighter than it can say
-            else:
-                sizes[told] = abs(r)
-                told += 1
-                if lit and abs(r) > limit:
-                    root = limit / abs(r)
-                    root *= math.sqrt(root)
-                    doubted += 1
-            weights += root * root
-            contrast = (white - black) * root
-            dX, dY, dB, p, q = dX * w * contrast, dY * w * contrast, dB * contrast, p * root, q * root
-            both = -(dX * X + dY * Y)
-            J[0, k], J[1, k], J[2, k] = dX * xi, dX * yi, dX
-            J[3, k], J[4, k], J[5, k] = dY * xi, dY * yi, dY
-            J[6, k], J[7, k], J[8, k] = both * xi, both * yi, dB
-            J[9, k], J[10, k], J[11, k] = p, p * xi, p * yi
-            J[12, k], J[13, k], J[14, k] = q, q * xi, q * yi
-            J[15, k] = r * root
-        for i in range(0 if lit else LIGHT, ROWS):
-            for j in range(i, ROWS):
-                total = np.float32(0)
-                for k in range(size):
-                    total += J[i, k] * J[j, k]
-                H[i, j] += total
+    weights, doubted, seen = 0.0, 0, Seen(square.g, square.width, square.slope, cells)
+    for start in range(0, count, STRIP):
+        size = min(STRIP, count - start)
+        strip = work.rows[start // STRIP].reshape(ROWS * STRIP)
+        shares(pixels, start, size, seen, tables, strip)
+        counted = _greys(pixels, start, size, square.light, limit if lit else UNLIMITED, strip, work.sizes)
+        weights, doubted = weights + counted.weights, doubted + counted.doubted
+        _multiply(strip, size, 0 if lit else LIGHT - 1, H)
     for i in range(ROWS):
         for j in range(i):
             H[i, j] = H[j, i]
-    return Counted(weights, doubted, told)
+    return Counted(weights, doubted)
+
+
+@kernel_part
+def _greys(pixels: EdgePixels, start: int, size: int, light: np.ndarray, limit: float, strip: np.ndarray, sizes: np.ndarray) -> Counted:
+    """Rows of J from the shares in a strip (ROWS * STRIP,) of the pixels start .. start + size; zeros up to a multiple of PADDED pixels.
+
+    light : as in Square; limit : as in `accumulate`; sizes : of Work
+    """
+    x, y, greys, begin = pixels.x, pixels.y, pixels.greys, np.uintp(start)
+    white, white_x, white_y = np.float32(light[0]), np.float32(light[1]), np.float32(light[2])
+    black, black_x, black_y = np.float32(light[3]), np.float32(light[4]), np.float32(light[5])
+    most, weights, doubted = np.float32(limit), _0, _0
+    for k in range(np.uintp(size)):
+        xi, yi, grey, p = x[begin + k], y[begin + k], greys[begin + k], strip[_R[9] + k]
+        bright, dark, q = white + white_x * xi + white_y * yi, black + black_x * xi + black_y * yi, _1 - p
+        r = grey - bright * p - dark * q
+        dull = grey > _SATURATED and r < _0  # it may be brighter than it can say
+        off = abs(r)
+        share = most / max(off, most)
+        root = _0 if dull else share * math.sqrt(share)
+        sizes[begin + k] = -_1 if dull else off
+        doubted += _1 if off > most and not dull else _0
+        weights += root * root
+        contrast = (bright - dark) * root
+        dX, dY, both, p, q = strip[_R[2] + k] * contrast, strip[_R[5] + k] * contrast, strip[_R[6] + k] * contrast, p * root, q * root
+        strip[k], strip[_R[1] + k], strip[_R[2] + k] = dX * xi, dX * yi, dX
+        strip[_R[3] + k], strip[_R[4] + k], strip[_R[5] + k] = dY * xi, dY * yi, dY
+        strip[_R[6] + k], strip[_R[7] + k], strip[_R[8] + k] = both * xi, both * yi, strip[_R[8] + k] * contrast
+        strip[_R[9] + k], strip[_R[10] + k], strip[_R[11] + k] = p, p * xi, p * yi
+        strip[_R[12] + k], strip[_R[13] + k], strip[_R[14] + k] = q, q * xi, q * yi
+        strip[_R[15] + k] = r * root
+    for i in range(ROWS):
+        for m in range(i * STRIP + size, i * STRIP + min(STRIP, (size + PADDED - 1) // PADDED * PADDED)):
+            strip[m] = 0
+    return Counted(float(weights), int(doubted))
+
+
+@kernel_part
+def _multiply(strip: np.ndarray, size: int, first: int, H: np.ndarray) -> None:
+    """Add the products of the rows of a strip (ROWS * STRIP,), from an even one on, to the upper half of H (ROWS, ROWS), four sums at a time."""
+    end = np.uintp((size + PADDED - 1) // PADDED * PADDED)
+    for i in range(first, ROWS, 2):
+        for j in range(i, ROWS, 2):
+            a, b, c, d = np.uintp(i * STRIP), np.uintp((i + 1) * STRIP), np.uintp(j * STRIP), np.uintp((j + 1) * STRIP)
+            ac = ad = bc = bd = _0
+            for k in range(end):
+                ac += strip[a + k] * strip[c + k]
+                ad += strip[a + k] * strip[d + k]
+                bc += strip[b + k] * strip[c + k]
+                bd += strip[b + k] * strip[d + k]
+            H[i, j] += ac
+            H[i, j + 1] += ad
+            H[i + 1, j] += bc
+            H[i + 1, j + 1] += bd
 
 
 @kernel

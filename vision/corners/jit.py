@@ -11,6 +11,7 @@ from rig.kernel import Kernel
 
 # all of fast mathematics but the promise that nothing is infinite or no number
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
+_OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}
 
 F = TypeVar("F", bound=Callable)
 
@@ -29,4 +30,9 @@ def _folder() -> str:
 
 def kernel(function: F) -> F:
     """Compile a function when it is first called, or load what was compiled in an earlier run."""
-    return cast(F, Kernel(function, {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FAST}, _folder))
+    return cast(F, Kernel(function, _OPTIONS, _folder))
+
+
+def kernel_part(function: F) -> F:
+    """The same for what one kernel alone calls: it is taken into that one, and not compiled by itself as well."""
+    return cast(F, Kernel(function, {**_OPTIONS, "inline": "always"}, _folder))

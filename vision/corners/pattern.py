@@ -11,13 +11,14 @@ import numpy as np
 from vision.corners.jit import kernel
 
 STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
-MEETING = 3.0  # edge widths from two edges at once within which their meeting matters
+TOGETHER = 3.0  # edge widths from two edges at once within which their meeting matters
 GRID = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 class Tables(NamedTuple):
-    """Edge spread functions of a marker's X and of its Y edges, each (STEPS + 1, 2): share of white and its slope over GRID."""
+    """Edge spread functions of a marker's X and of its Y edges, each (STEPS, 4) float32: over the steps of GRID the share of white, what it gains
+    over one, its slope, what that gains."""
 
     x: np.ndarray
     y: np.ndarray
@@ -44,12 +45,20 @@ class Share(NamedTuple):
 
 
 @kernel
+def tabulate(function: np.ndarray, table: np.ndarray) -> None:
+    """An edge spread function (STEPS + 1, 2), share of white and its slope over GRID, as Tables have it, into a table (STEPS, 4)."""
+    for k in range(len(table)):
+        for q in range(2):
+            table[k, 2 * q], table[k, 2 * q + 1] = function[k, q], function[k + 1, q] - function[k, q]
+
+
+@kernel
 def edge(table: np.ndarray, x: float) -> tuple[float, float]:
-    """Share of white and its slope at x edge widths from an edge, from a table (STEPS + 1, 2)."""
+    """Share of white and its slope at x edge widths from an edge, from a table (STEPS, 4) of Tables."""
     at = min(max((x + SPAN / 2) * (STEPS / SPAN), 0.0), STEPS - 1e-6)
     i = int(at)
     f = at - i
-    return table[i, 0] + f * (table[i + 1, 0] - table[i, 0]), table[i, 1] + f * (table[i + 1, 1] - table[i, 1])
+    return float(table[i, 0]) + f * table[i, 1], float(table[i, 2]) + f * table[i, 3]
 
 
 @kernel
@@ -64,9 +73,9 @@ def _meeting(h: float, k: float, rho: float) -> float:
     """Bivariate normal distribution less the product of its margins."""
     total = 0.0
     for g in range(3):
-        r = 0.5 * rho * (_NODES[g] + 1)
+        r = 0.5 * rho * (NODES[g] + 1)
         q = 1 - r * r
-        total += _WEIGHTS[g] * math.exp(-(h * h - 2 * r * h * k + k * k) / (2 * q)) / math.sqrt(q)
+        total += WEIGHTS[g] * math.exp(-(h * h - 2 * r * h * k + k * k) / (2 * q)) / math.sqrt(q)
     return total * rho / (4 * math.pi)
 
 
@@ -105,7 +114,7 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
             for v in range(2):
                 k, top, bottom = (vl, y0, y1) if v == 0 else (vr, y1, y2)
                 w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
-                if w != 0 and abs(h) < MEETING and abs(k) < MEETING:
+                if w != 0 and abs(h) < TOGETHER and abs(k) < TOGETHER:
                     s += w * _meeting(h, k, rho)
     return Share(s, gx, gy, gb)
 
@@ -144,6 +153,6 @@ def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting:
             for v in range(4):
                 top, bottom = min(max(j + v, 0), last), min(max(j + v + 1, 0), last)
                 w = cells[top, left] - cells[top, right] - cells[bottom, left] + cells[bottom, right]
-                if w != 0 and abs(h[u]) < MEETING and abs(k[v]) < MEETING:
+                if w != 0 and abs(h[u]) < TOGETHER and abs(k[v]) < TOGETHER:
                     s += w * _meeting(h[u], k[v], rho)
     return Share(s, gx, gy, gb)

@@ -6,6 +6,7 @@ import numpy as np
 
 from vision.corners.jit import kernel
 from vision.corners.local_lens import to_ideal
+from vision.corners.ranked import ranked
 
 PROFILES = 8  # along each side
 FAINTEST = 6.0  # grey levels; a step below this is none
@@ -15,11 +16,12 @@ FAINTEST = 6.0  # grey levels; a step below this is none
 def cut(image: np.ndarray, boxes: np.ndarray, starts: np.ndarray, out: np.ndarray) -> None:
     """Copy the boxes (m, 4) x0 y0 x1 y1 of an image one after the other into out, flat float32, from starts (m,)."""
     for m in range(len(boxes)):
-        k = starts[m]
+        k, x0, width = np.uintp(starts[m]), np.uintp(boxes[m, 0]), np.uintp(boxes[m, 2] - boxes[m, 0])
         for y in range(boxes[m, 1], boxes[m, 3]):
-            for x in range(boxes[m, 0], boxes[m, 2]):
-                out[k] = image[y, x]
-                k += 1
+            row = image[y]
+            for x in range(width):  # unsigned, so that many pixels are copied at once
+                out[k + x] = row[x0 + x]
+            k += width
 
 
 @kernel
@@ -47,10 +49,10 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
         x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
         y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
         inside[k] = _between(crop, x, y)
-    inside.sort()
-    if inside[58] - inside[5] < FAINTEST:
+    dark, bright = ranked(inside, 5), ranked(inside, 58)
+    if bright - dark < FAINTEST:
         return
-    middle = 0.5 * (inside[58] + inside[5])  # of this marker's own black and white: a brighter face beside it has others
+    middle = 0.5 * (bright + dark)  # of this marker's own black and white: a brighter face beside it has others
     for k in range(4):
         ax, ay = quad[k, 0] - box[0], quad[k, 1] - box[1]
         ex, ey = quad[(k + 1) % 4, 0] - box[0] - ax, quad[(k + 1) % 4, 1] - box[1] - ay
@@ -76,7 +78,7 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
                 found += 1
         shift, turn = 0.0, 0.0
         if found >= PROFILES // 2:
-            centre = float(np.median(offsets[:found]))
+            centre = ranked(offsets[:found], found // 2)
             for tries in range(2):  # the second time without those that stand apart
                 n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
                 for q in range(found):

@@ -16,16 +16,15 @@ import numpy as np
 from vision.corners.bowed import TERMS, Bow, bow
 from vision.corners.cholesky import factor, solve
 from vision.corners.covered import covered, uncovered
-from vision.corners.edges import EdgePixels, Printed, edge_pixels
+from vision.corners.edges import KINDS, EdgePixels, Printed, Raster, edge_pixels
 from vision.corners.gauss_newton import (
-    CHUNK,
     LIGHT,
     NO_CONTRAST,
     NO_PIXELS,
     NOT_READ,
     OK,
-    ROWS,
     UNKNOWNS,
+    UNLIMITED,
     UNSETTLED,
     WANDERED,
     Square,
@@ -35,16 +34,17 @@ from vision.corners.gauss_newton import (
     corners_at,
     step,
 )
-from vision.corners.jit import kernel
+from vision.corners.jit import kernel, kernel_part
 from vision.corners.local_lens import to_image
 from vision.corners.misfit import misfit, profile_left, segments
-from vision.corners.pattern import Tables
+from vision.corners.pattern import STEPS, Tables, tabulate
+from vision.corners.ranked import ranked
+from vision.corners.shares import ROWS, STRIP
 from vision.corners.sides import homography, misread, straighten
 
 SAMPLE = 300  # pixels that take part while the fit is still on its way
 FEWEST = 60  # pixels near edges, below which nothing is fitted
 TRUSTED = 5.0  # robust standard deviations; a pixel farther off counts less, and soon nothing: something covers it
-UNLIMITED = 1e9  # grey levels, in place of a limit while the residuals' scatter is not known
 FINEST = 0.2  # grey levels; a robust scale below this is rounding
 FAINTEST = 1.0  # grey levels that white must be brighter than black
 SETTLED = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
@@ -56,7 +56,7 @@ class Squares(NamedTuple):
     """Markers of one size in one image.
 
     pixels : flat float32, 255ths of white, the boxes cut out one after the other from `starts` (m + 1,); boxes : (m, 4) x0 y0 x1 y1 px
-    lenses : (m, 2, TERMS), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, n + 4, n + 4, 16), margins : (m,) cells and
+    lenses : (m, 2, TERMS), centres : (m, 3), cells : (m, n + 4, n + 4), outlooks : (m, NOWHERE + 1), margins : (m,) cells and
     directions : (m, 2) of each, see Printed
     """
 
@@ -109,29 +109,64 @@ class Fits(NamedTuple):
     profile: np.ndarray
 
 
-Room = tuple[EdgePixels, EdgePixels, Work, Bow, np.ndarray, np.ndarray, np.ndarray]  # see `_room`
+class Room(NamedTuple):
+    """What fits are worked out in: all pixels of a marker near edges, a sample of them, a raster to collect them in, Work, Bow, Tables, sums of
+    `segments`, and counts and cells of `covered`."""
+
+    every: EdgePixels
+    sample: EdgePixels
+    raster: Raster
+    work: Work
+    bowed: Bow
+    tables: Tables
+    sums: np.ndarray
+    told: np.ndarray
+    hidden: np.ndarray
 
 
 @kernel
-def _room(largest: int, n: int) -> Room:
-    """(all EdgePixels, a sample of them, Work, Bow, sums of `segments`, counts and cells of `covered`) for markers of n bits each way in boxes of at
-    most so many pixels."""
-    every = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
-    sample = EdgePixels(np.empty((largest, 2), np.float32), np.empty(largest, np.float32), np.empty((largest, 3), np.int32))
+def _pixels(most: int) -> EdgePixels:
+    """EdgePixels with room for `most`."""
+    x, y, greys = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
+    return EdgePixels(x, y, greys, np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32), np.zeros(KINDS + 1, np.int64))
+
+
+@kernel_part
+def _room(largest: int, widest: int, n: int) -> Room:
+    """Room for markers of n bits each way in boxes of at most so many pixels and columns."""
+    x, y, greys = np.empty(largest, np.float32), np.empty(largest, np.float32), np.empty(largest, np.float32)
+    raster = Raster(np.empty((4, widest), np.float32), np.empty(widest, np.int32), x, y, greys, np.empty(largest, np.int32))
     work = Work(np.empty((ROWS, ROWS)), np.empty((UNKNOWNS, UNKNOWNS)), np.empty(UNKNOWNS), np.empty((8, 8)),
-                np.empty((largest // CHUNK + 1, ROWS, CHUNK), np.float32), np.zeros(largest, np.float32))
+                np.empty((largest // STRIP + 1, ROWS, STRIP), np.float32), np.empty(largest, np.float32))
     bowed = Bow(np.empty((TERMS, UNKNOWNS)), np.empty((TERMS, TERMS)), np.empty(TERMS))
-    return every, sample, work, bowed, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)), np.empty((n + 5, n + 5), np.bool_)
+    tables = Tables(np.empty((STEPS, 4), np.float32), np.empty((STEPS, 4), np.float32))
+    return Room(_pixels(largest), _pixels(largest), raster, work, bowed, tables, np.empty((2, n + 5, n + 5, 2)), np.empty((2, n + 5, n + 5)),
+                np.empty((n + 5, n + 5), np.bool_))
 
 
-@kernel
-def _take(every: EdgePixels, sample: EdgePixels, count: int, stride: int) -> None:
-    """Copy each stride-th of the first `count` pixels into the sample."""
-    for k in range(0, count, stride):
-        sample.points[k // stride], sample.greys[k // stride], sample.places[k // stride] = every.points[k], every.greys[k], every.places[k]
+@kernel_part
+def _take(every: EdgePixels, sample: EdgePixels, stride: int) -> int:
+    """Copy each stride-th pixel of each kind into the sample; returns how many."""
+    m, sample.first[0] = 0, 0
+    for kind in range(KINDS):
+        for k in range(every.first[kind], every.first[kind + 1], stride):
+            sample.x[m], sample.y[m], sample.greys[m] = every.x[k], every.y[k], every.greys[k]
+            sample.i[m], sample.j[m], sample.looks[m] = every.i[k], every.j[k], every.looks[k]
+            m += 1
+        sample.first[kind + 1] = m
+    return m
 
 
-@kernel
+@kernel_part
+def _median(sizes: np.ndarray) -> float:
+    """Median of those sizes (k,) that are not negative."""
+    negative = 0
+    for size in sizes:
+        negative += size < 0
+    return ranked(sizes, (len(sizes) + negative) // 2)
+
+
+@kernel_part
 def _lighten(work: Work, light: np.ndarray) -> bool:
     """Set the greys from normal equations in which the square's place is held; False where white is no brighter than black."""
     H = work.H
@@ -146,10 +181,11 @@ def _lighten(work: Work, light: np.ndarray) -> bool:
 def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
     """Fit every marker of an image: Squares in the given Manner, into Fits."""
     boxes, n, width = squares.boxes, squares.cells.shape[1] - 4, manner.width
-    largest = 1
+    largest, widest = 1, 1
     for m in range(len(boxes)):
         largest = max(largest, (boxes[m, 2] - boxes[m, 0]) * (boxes[m, 3] - boxes[m, 1]))
-    room = _room(largest, n)
+        widest = max(widest, boxes[m, 2] - boxes[m, 0])
+    room = _room(largest, widest, n)
     for m in range(len(boxes)):
         marker = Printed(squares.cells[m], squares.outlooks[m], n, squares.margins[m], squares.directions[m], boxes[m], squares.lenses[m],
                          squares.centres[m])
@@ -165,10 +201,11 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
             width = fits.width[m]
 
 
-@kernel
+@kernel_part
 def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
-    every, sample, work, bowed, sums, told, hidden = room
+    every, sample, work, bowed, sums, hidden, tables, told = (room.every, room.sample, room.work, room.bowed, room.sums, room.hidden,
+                                                              room.tables, room.told)
     hidden[:] = False
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]
     scale = centre[2]
@@ -176,30 +213,32 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = lens[0, 1] / scale, lens[0, 2] / scale, lens[1, 1] / scale, lens[1, 2] / scale
     if not homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
         return WANDERED
-    lit, limit, away, collected, part, count, stride, whole = False, UNLIMITED, np.inf, s, False, 0, 1, False
+    lit, limit, away, collected, part, count, used, whole, tabulated = False, UNLIMITED, np.inf, s, False, 0, 0, False, -1
     lost, dropped = 0, 0  # pixels that did not fit and were dropped, all that were dropped with them
     for iteration in range(manner.iterations):
         if away > STRAYED or s > WIDENED * collected:
             if iteration > 0:
                 to_image(lens, centre, quad, corners, fits.covariances[m])
                 quad[:] = corners
-            there = edge_pixels(crop, marker, quad, g, s, every)
-            count = uncovered(every, there, g, hidden) if dropped else there
+            there = edge_pixels(crop, marker, quad, g, s, room.raster, every)
+            count = uncovered(every, g, hidden) if dropped else there
             dropped = there - count
             if count < FEWEST:
                 return NO_PIXELS
             away, collected, stride = 0.0, s, max(count // SAMPLE, 1)
             part = stride > 1 and not whole  # a sample's optimum may lie far enough off to come back to for ever
             if part:
-                _take(every, sample, count, stride)
-        used = (count + stride - 1) // stride if part else count
+                used = _take(every, sample, stride)
         level = 0
         while level < len(manner.levels) and s > manner.levels[level]:
             level += 1
-        tables = manner.tables[level]
+        if level != tabulated:
+            tabulate(manner.tables[level, marker.directions[0]], tables.x)
+            tabulate(manner.tables[level, marker.directions[1]], tables.y)
+            tabulated = level
         square = Square(g, s, light, slope)
-        counted = accumulate(sample if part else every, used, marker.cells, square,
-                             Tables(tables[marker.directions[0]], tables[marker.directions[1]]), limit, lit, work)
+        used = used if part else count
+        counted = accumulate(sample if part else every, marker.cells, square, tables, limit, lit, work)
         if not lit:
             lit = True
             if not _lighten(work, light):
@@ -211,29 +250,29 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
         widened, s = abs(moved.width - s), moved.width
         away += moved.moved
         if part or limit == UNLIMITED:
-            limit = TRUSTED * max(1.4826 * np.median(work.sizes[: max(counted.told, 1)]), FINEST)
+            limit = TRUSTED * max(1.4826 * _median(work.sizes[:used]), FINEST)
         fits.contrast[m], fits.used[m], fits.doubted[m] = light[0] - light[3], used, (lost + counted.doubted) / (used + dropped)
         fits.width[m], fits.steps[m] = s, iteration
         if part:
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
-            if counted.doubted and covered(every, count, g, work.rows, told, hidden):
-                lost, left = lost + counted.doubted, uncovered(every, count, g, hidden)
+            if counted.doubted and covered(every, g, work.rows, told, hidden):
+                lost, left = lost + counted.doubted, uncovered(every, g, hidden)
                 dropped, count = dropped + count - left, left
                 if count < FEWEST:
                     return NO_PIXELS
                 continue
-            over = bow(every, count, square, counted.weights, work, bowed)
+            over = bow(every, square, counted.weights, work, bowed)
             if not corners_at(g, n, corners, work.J):
                 return WANDERED
-            segments(every, count, g, work.rows, work.x, sums)
+            segments(every, g, work.rows, work.x, sums)
             noise2 = max(over, 1e-12) / max(counted.weights - UNKNOWNS - TERMS, 1.0)
             fits.noise[m] = math.sqrt(noise2)
             corner_covariance(work, noise2, bowed.gain, bowed.own, fits.covariances[m])
             fits.covariances[m] *= misfit(sums, fits.noise[m])
             to_image(lens, centre, quad, corners, fits.covariances[m])
             if fits.profile.shape[1]:
-                profile_left(every, count, Square(g, s, light, slope), bowed.sizes, tables, marker.directions, limit, fits.profile)
+                profile_left(every, Square(g, s, light, slope), bowed.sizes, tables, marker.directions, limit, fits.profile)
             return OK
     return UNSETTLED

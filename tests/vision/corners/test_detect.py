@@ -165,6 +165,13 @@ def test_blurred_dark_and_striped_markers_are_right_or_left_out_with_a_reason(de
         assert found.left_out and found.left_out[0][0] == 6
 
 
+def test_markers_that_the_rig_has_not_are_passed_over_and_its_own_keep_their_identities(design):
+    corners = quad(np.random.default_rng(17), side=70)
+    image = np.clip(picture(corners, NAME, 6), 0, 255).astype(np.uint8)
+    assert not len(detect(image, camera(), sheet(design, ids=[0, 3, 11, 60])).marker)
+    assert detect(image, camera(), sheet(design, ids=[60, 6, 3])).marker.tolist() == [6]
+
+
 @pytest.mark.parametrize("flip", [0, 1])
 def test_a_mirrored_image_shows_no_marker(design, flip):
     image = np.clip(picture(quad(np.random.default_rng(13), side=70), NAME, 6), 0, 255).astype(np.uint8)
