@@ -31,6 +31,7 @@ test: setup
 	$(BIN)/python -m pytest -q -n auto
 
 test-slow: setup
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bucket]'
 	$(BIN)/python -m pytest -q -m slow
 
 fuzz: setup

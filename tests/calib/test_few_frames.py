@@ -12,7 +12,10 @@ from calib.diagnose.engine.products import FrameProducts, solve, stepwise
 from calib.diagnose.engine.score import Score
 from calib.diagnose.engine.select import _hidden
 from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.problems.platform.heldout import sides
 from calib.diagnose.report.platform import report
+from rig.effects.camera_bump import CameraBump
+from rig.effects.missed_steps import MissedSteps
 from tests.calib.recorded import recorded
 
 FRAMES, ROWS, DRAWS = 30, 14, 500  # of a camera, numbers that each shows, worlds with nothing in them
@@ -48,6 +51,14 @@ def test_what_comes_before_a_moment_is_never_held_out_whole():
         fold = folds(44, True, [late, ~late])
         assert all(len(np.unique(fold[side])) > 1 for side in (late, ~late) if side.sum() > 1), first
     np.testing.assert_array_equal(folds(44, True, [np.arange(44) >= 20, np.arange(44) < 20]), folds(44, True))
+
+
+def test_sides_are_held_out_of_what_is_seen_and_not_of_what_axes_do():
+    """In one stretch an axis may do so for where it stands: a coupling without a name was called lost steps."""
+    t = np.arange(10.0)
+    late, early = sides([CameraBump("camera cam1", time=3.0), MissedSteps("strut 2", jump=1e-4, time=3.0)], t)
+    np.testing.assert_array_equal(late, ~early)
+    assert late.sum() == 7
 
 
 @pytest.mark.parametrize("time", [24, pytest.param(130, marks=pytest.mark.slow)], ids=["after few frames", "before few frames"])

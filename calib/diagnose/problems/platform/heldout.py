@@ -6,11 +6,11 @@ import numpy as np
 
 from calib.diagnose.engine.crossvalidate import CrossValidation, HeldOut, folds, held_out, summed_gain
 from calib.diagnose.engine.linear import Column
+from calib.diagnose.problems.platform.candidates import seen_alone
 from calib.diagnose.problems.platform.corners import edges_of
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.refine import Refined
 from rig.effects.base import Effect
-
 
 def cross_validate(refined: Refined, numbers: set[int], block: int) -> CrossValidation:
     """CrossValidation of some admitted effects (their numbers) together, in a block: CORNERS or CLOSURES, all else fitted on the same stretches."""
@@ -28,7 +28,7 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     """(held out without the effects, with them, folds (F,))."""
     model, k = refined.model, refined.point
     asked = [k.effects[i] for i in sorted(numbers)]
-    fold = folds(model.frames, any(e.sudden for e in asked), _sides(asked, k.t))
+    fold = folds(model.frames, any(e.sudden for e in asked), sides(asked, k.t))
     with_all = refined.marginalised
     after = held_out(with_all.linear, tuple(b.residual for b in with_all.linear.blocks), fold)
     others = [i for i, c in enumerate(refined.coordinates) if c.effect not in numbers]
@@ -38,9 +38,10 @@ def _both(refined: Refined, numbers: set[int]) -> tuple[HeldOut, HeldOut, np.nda
     return held_out(bare.linear, grown, fold), after, fold
 
 
-def _sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
-    """[(F,) bool], which of the times t (F,) s lie after each moment at which effects happen, and which before."""
-    moments = [getattr(e, p.name) for e in effects if e.sudden for p in e.parameters if p.role == "moment"]
+def sides(effects: Sequence[Effect], t: np.ndarray) -> list[np.ndarray]:
+    """[(F,) bool], which of the times t (F,) s lie after each moment at which what is seen changes, and which before; not of what axes do: within
+    one stretch they may do that for where they stand in it."""
+    moments = [getattr(e, p.name) for e in effects if e.sudden and seen_alone(e) for p in e.parameters if p.role == "moment"]
     return [side for moment in moments for side in (t >= moment, t < moment)]
 
 
