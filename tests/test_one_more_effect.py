@@ -97,9 +97,8 @@ def test_it_is_simulated(house, kind):
 
 
 def test_it_is_in_the_catalogue(house):
-    done = subprocess.run([sys.executable, "-P", "-m", "rig.effects.catalogue"], capture_output=True, text=True, cwd=house, check=True,
-                          env={**os.environ, "PYTHONPATH": str(house)})
-    assert "### toy_tide" in done.stdout and "wait for the tide" in done.stdout
+    said = rig(house, "catalogue")
+    assert "### toy_tide" in said and "wait for the tide" in said
 
 
 @pytest.mark.slow

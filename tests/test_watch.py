@@ -30,7 +30,7 @@ def week(watched, tmp_path, capsys):
     base, _ = watched
     assert main(["watch", str(base / "calibration.json"), *(str(base / f"day{day}") for day in range(3)), "--history",
                  str(tmp_path / "watch.json"), "--page", str(tmp_path / "watch.html")]) == 0
-    assert "<strong>good</strong> the calibration holds at visit 3" in (tmp_path / "watch.html").read_text()
+    assert "<strong>good</strong> The calibration holds at visit 3" in (tmp_path / "watch.html").read_text()
     said = capsys.readouterr().out
     assert said.count("the calibration holds") == 1 and said.count("nothing has changed") == 2 and f"{ALARM:g} visits" in said
     return tmp_path / "watch.json"

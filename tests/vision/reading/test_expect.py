@@ -49,6 +49,7 @@ def write(folder, design, T, rng, as_another, frames=range(FRAMES)):
 @pytest.fixture
 def searches(monkeypatch):
     """How many whole images are searched, counted."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")  # what other processes search is not counted here
     count, search = [], detect.search
 
     def counted(*arguments):
