@@ -49,6 +49,7 @@ FINEST = 0.2  # grey levels; a robust scale below this is rounding
 FAINTEST = 1.0  # grey levels that white must be brighter than black
 SETTLED = 0.06  # px; after a step that moves corners less one more is right to 0.002 px, and the first that small brings in all pixels
 SAMPLE_STEADY, STEADY = 0.1, 0.05  # of the edges' width, that a step may change it by once it is settled: with a sample, with all pixels
+SAMPLED = 10  # times that pixels are collected of which a sample takes part
 STRAYED, WIDENED = 0.4, 1.1  # px that corners may move, times that edges may widen before the pixels near them are collected anew
 
 
@@ -214,6 +215,7 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
     if not homography(quad, lens, centre, n, g) or not corners_at(g, n, corners, work.J):
         return WANDERED
     lit, limit, away, collected, part, count, used, whole, tabulated = False, UNLIMITED, np.inf, s, False, 0, 0, False, -1
+    collections = 0
     lost, dropped = 0, 0  # pixels that did not fit and were dropped, all that were dropped with them
     for iteration in range(manner.iterations):
         if away > STRAYED or s > WIDENED * collected:
@@ -226,7 +228,8 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
             if count < FEWEST:
                 return NO_PIXELS
             away, collected, stride = 0.0, s, max(count // SAMPLE, 1)
-            part = stride > 1 and not whole  # a sample's optimum may lie far enough off to come back to for ever
+            collections += 1
+            part = stride > 1 and not whole and collections <= SAMPLED  # a sample's optimum may lie far enough off to come back to for ever
             if part:
                 used = _take(every, sample, stride)
         level = 0
