@@ -125,21 +125,14 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
     kept, good = only(observations, solved), fit.inliers[keep]
     weights, standing = standing_error(kept, good, fit.adjustment.state)
     result = adjust(replace(kept, covariance=weights).take(good), fit.adjustment.state, free, stated=stated, printing=fit.adjustment.printing)
-    numbers, covariance = observations.frames[solved], _given(result)
+    numbers, covariance = observations.frames[solved], result.platform_covariance
     result, common = _in_order(result)
     residuals = np.full((len(observations), 2), np.nan)
     residuals[keep] = kept.uv - predict(kept, result.state)[0]
     noise = np.sqrt(np.median(np.einsum("nii->n", kept.covariance)) / 2)
     return Measurement(replace(design, cameras=result.state.cameras), numbers, result.state.platform,
-                       covariance, common,
-                       {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, fit.inliers,
+                       covariance, common, {int(observations.frames[f]): reason for f, reason in unsolved.items()}, observations, fit.inliers,
                        residuals, float(noise), standing, weights, fit.scale**2, result)
-
-
-def _given(adjustment: Adjustment) -> np.ndarray:
-    """(f, 6, 6) covariance of the platform's poses, cameras' uncertainty included."""
-    common = adjustment.platform_common
-    return adjustment.platform_given_cameras + common @ np.swapaxes(common, 1, 2)
 
 
 def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:

@@ -69,6 +69,11 @@ class Adjustment:
         return out
 
     @property
+    def platform_covariance(self) -> np.ndarray:
+        """(F, 6, 6) covariance of each platform pose, cameras' uncertainty included, tangent on the right."""
+        return self.platform_given_cameras + self.platform_common @ np.swapaxes(self.platform_common, 1, 2)
+
+    @property
     def shared_covariance(self) -> np.ndarray:
         """(s, s) covariance of the shared unknowns, in their own units."""
         return self.shared_factor @ self.shared_factor.T

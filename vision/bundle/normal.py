@@ -1,6 +1,7 @@
 """Corners -> normal equations of an adjustment in blocks: every frame's own, the shared, and the cross terms between them."""
 
 from dataclasses import dataclass
+
 import numpy as np
 
 from rig.parallel import threaded
