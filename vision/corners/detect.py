@@ -222,8 +222,7 @@ def _cut_out(full: np.ndarray, camera: Camera, quads: np.ndarray, printed: _Prin
     """square.Squares of quads (m, 4, 2) px of one size."""
     height, width = full.shape
     sides_px = np.linalg.norm(quads[:, _NEXT] - quads, axis=2)
-    middle = quads.mean(axis=1)
-    centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+    centres = local_lens.centres(quads)
     polynomials = np.empty((len(quads), 2, local_lens.TERMS))
     local_lens.polynomials(local_lens.table(camera), centres, polynomials)
     room = ROOM + reach + BEND * sides_px.max(axis=1)[:, None]

@@ -21,6 +21,12 @@ _NODES = _SPREAD * np.stack(np.meshgrid(*[np.cos(np.pi * (np.arange(5) + 0.5) / 
 _TO_POLYNOMIAL = np.linalg.pinv((_NODES[:, None, :] ** _ORDERS).prod(axis=2))
 
 
+def centres(quads: np.ndarray) -> np.ndarray:
+    """(m, 3) x, y, scale px of local coordinates about markers whose corners are quads (m, 4, 2) px."""
+    middle = quads.mean(axis=1)
+    return np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+
+
 def table(camera: Camera) -> np.ndarray:
     """(rows, columns, 2) ideal coordinates of nodes SPACING px apart from -BEYOND * SPACING on, times the focal lengths; NaN beyond a lens."""
     return _table(camera.matrix.tobytes(), np.asarray(camera.distortion, float).tobytes(), camera.width, camera.height)

@@ -12,6 +12,7 @@ from vision.corners.jit import kernel
 
 STEPS, SPAN = 512, 10.0  # a tabulated edge reaches from -SPAN / 2 to SPAN / 2 widths
 TOGETHER = 3.0  # edge widths from two edges at once within which their meeting matters
+SKEW = 0.02  # cosine between two edges' normals, below which their meeting is the product of both
 GRID = np.linspace(-SPAN / 2, SPAN / 2, STEPS + 1)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 
@@ -108,7 +109,7 @@ def pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting: Meet
         gx += w * ((b - a) * pa + (c - b) * pb) / sx
         gy += dw * row
         gb += bw * row - w * ((b - a) * pa * hl + (c - b) * pb * hr)
-    if abs(rho) > 0.02:
+    if abs(rho) > SKEW:
         for u in range(2):
             h, left, right = (hl, x0, x1) if u == 0 else (hr, x1, x2)
             for v in range(2):
@@ -147,7 +148,7 @@ def wide_pattern(cells: np.ndarray, i: int, j: int, X: float, Y: float, meeting:
             gy += (row - above) * down[v - 1][1] / sy
             gb -= (row - above) * down[v - 1][1] * k[v - 1]
         above = row
-    if abs(rho) > 0.02:
+    if abs(rho) > SKEW:
         for u in range(4):
             left, right = min(max(i + u, 0), last), min(max(i + u + 1, 0), last)
             for v in range(4):

@@ -10,15 +10,15 @@ import numpy as np
 
 from vision.corners.edges import KINDS, LEVEL, MEETING, REACH, UPRIGHT, EdgePixels
 from vision.corners.jit import kernel, kernel_part
-from vision.corners.pattern import NODES, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, pattern, wide_pattern
+from vision.corners.pattern import NODES, SKEW, SPAN, STEPS, TOGETHER, WEIGHTS, Meeting, Tables, pattern, wide_pattern
 
 ROWS = 16  # of a strip
 STRIP = 256  # pixels in a strip; its rows fit the processor's first cache
 _D_X, _D_Y, _BOTH, _WIDTH, _SHARE = (np.uintp(k * STRIP) for k in (2, 5, 6, 8, 9))  # rows that shares are left in
 _R0, _R1, _R3, _R4, _R7, _R10, _R11, _R12, _R13 = (np.uintp(k * STRIP) for k in (0, 1, 3, 4, 7, 10, 11, 12, 13))  # free until greys are
-_0, _1, _2, _1000 = (np.float32(k) for k in (0, 1, 2, 1000))
+_0, _1, _2 = (np.float32(k) for k in (0, 1, 2))
 _HALF, _PER_WIDTH, _END = np.float32(SPAN / 2), np.float32(STEPS / SPAN), np.float32(STEPS - 0.001)
-_CLOSE, _SKEW = np.float32(TOGETHER), np.float32(0.02)
+_CLOSE, _SKEW = np.float32(TOGETHER), np.float32(SKEW)
 _N0, _N1, _N2 = (np.float32((node + 1) / 2) for node in NODES)
 _W0, _W1, _W2 = (np.float32(weight / (4 * math.pi)) for weight in WEIGHTS)
 _64, _T2, _T3, _T4, _T5, _T6 = (np.float32(1 / k) for k in (64, 2, 6, 24, 120, 720))

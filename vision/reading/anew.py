@@ -27,11 +27,7 @@ STRAIGHT = 3  # of a polynomial's terms: where a marker is, and how it is stretc
 
 def otherwise(corners: Corners, placed_by: Mapping[str, Camera], cameras: Sequence[Camera]) -> float:
     """px by which lenses as measured bend some marker otherwise than those that it was placed by. corners : all four of every marker"""
-    most = 0.0
-    quads = corners.uv.reshape(-1, 4, 2)
-    names = np.array(corners.camera)[::4]
-    middle = quads.mean(axis=1)
-    centres = np.concatenate([middle, np.abs(quads - middle[:, None]).max(axis=(1, 2))[:, None]], axis=1)
+    most, names, centres = 0.0, np.array(corners.camera)[::4], local_lens.centres(corners.uv.reshape(-1, 4, 2))
     for camera in cameras:
         own = centres[names == camera.name]
         if len(own):
