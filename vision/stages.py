@@ -45,8 +45,9 @@ def times(t: np.ndarray, markers: MarkerMap) -> np.ndarray:
 
 def parted(measured: Measurement, markers: MarkerMap) -> Measurement:
     """The Measurement of the platform, with those of the stages in `stages`, of what was measured of corners `apart`."""
-    platform, *below = (_part(measured, k, 1 + len(numbers(markers))) for k in range(1 + len(numbers(markers))))
-    return replace(platform, stages=dict(zip(numbers(markers), below)))
+    bodies = [0, *numbers(markers)]
+    platform, *below = (_part(measured, k, len(bodies)) for k in range(len(bodies)))
+    return replace(platform, stages=dict(zip(bodies[1:], below)))
 
 
 def _part(m: Measurement, k: int, bodies: int) -> Measurement:

@@ -55,8 +55,8 @@ def of(design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, coun
 
     frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside
     """
-    if any(target.stage for target in design.targets):
-        on_stages = [number for target in design.targets if target.stage for number in target.ids]
+    on_stages = [number for target in design.targets if target.stage for number in target.ids]
+    if on_stages:
         design, corners = design.without_stages(), take(corners, ~np.isin(corners.marker, on_stages))
     if not len(corners.frame):
         return None

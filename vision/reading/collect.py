@@ -95,7 +95,8 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     work = [(int(e.frame[i]), design.camera(e.camera[i]), name) for i, name in enumerate(e.image) if name]
     tell = _counter(progress, len(work))
     found: dict[int, Detection] = {}
-    taught = sorted({k for camera in {camera.name for _, camera, _ in work} for k in _some([i for i, w in enumerate(work) if w[1].name == camera])})
+    stated = {camera.name: camera for _, camera, _ in work}
+    taught = sorted({k for name in stated for k in _some([i for i, w in enumerate(work) if w[1].name == name])})
 
     def searched(k: int) -> tuple[np.ndarray, Read]:
         _, camera, name = work[k]
@@ -103,8 +104,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
         return full, search(eight, marker_map)
 
     whole = dict(zip(taught, in_parallel(searched, taught, None)))
-    spread = {camera.name: learn_spread([whole[k] for k in taught if work[k][1] is camera], camera, marker_map) for camera in
-              {work[k][1].name: work[k][1] for k in taught}.values()}
+    spread = {name: learn_spread([whole[k] for k in taught if work[k][1].name == name], camera, marker_map) for name, camera in stated.items()}
 
     def placed(k: int) -> Detection:
         full, read = whole[k]
@@ -114,8 +114,7 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     rest = [k for k in range(len(work)) if k not in found]
     rows = [(work[k][0], work[k][1].name, found[k]) for k in taught]
     known = expect.taught(recording, *corners_of(rows), _repeated(_left_out(rows)), marker_map) if len(rest) > len(taught) else None
-    names = {camera.name for _, camera, _ in work}
-    cameras = {name: camera for name in names if known is not None and (camera := known.camera(name)) is not None}
+    cameras = {name: camera for name in stated if known is not None and (camera := known.camera(name)) is not None}
 
     def bent(k: int) -> Detection:
         camera = cameras[work[k][1].name]
@@ -124,14 +123,12 @@ def _collected(recording: Recording, marker_map: MarkerMap, progress: Callable[[
     adjusted = [k for k in taught if work[k][1].name in cameras]  # whose markers the lens as stated bent otherwise than those of other images
     found.update(zip(adjusted, in_parallel(bent, adjusted, None)))
     whole.clear()
-    lenses = {camera.name: cameras.get(camera.name, camera) for _, camera, _ in work}
-
-    expecting = frozenset(cameras)
+    lenses = stated | cameras
 
     def one(item: tuple[Camera, str, RigidTransform | None]) -> Detection:
         camera, name, T = item
         return detect(_image(folder, camera, name), lenses[camera.name], marker_map, spread[camera.name],
-                      T if camera.name in expecting else None, doubtful=True)
+                      T if camera.name in cameras else None, doubtful=True)
 
     if known is None or known.commanded:
         commanded = known.commanded if known else {}

@@ -18,7 +18,7 @@ from rig.design import Camera, Design
 from rig.errors import NotEnoughData
 from rig.processes import cores
 from rig.recording import Corners
-from vision.corners.detect import Detection, detect, grey, place
+from vision.corners.detect import REACH, Detection, detect, grey, place
 from vision.corners.spread import PLAIN, Spread
 from vision.in_hand import adjoint_of, in_hand, seen_from
 from vision.measure import Measurement, measure
@@ -147,7 +147,7 @@ class Live:
                   for name, camera in cameras.items() if any(key[1] == name for key in seen)}
         measurement, again, placed_by = None, dict[tuple[int, str], Detection](), cameras
         for _ in range(1 + (ROUNDS if seen else 0)):
-            again = {key: place(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], *(() if not again else (0.0,)))
+            again = {key: place(full[key], placed_by[key[1]], self.markers, d.read, spread[key[1]], 0.0 if again else REACH)
                      for key, d in (again or seen).items()}
             corners, correlation = corners_of([(frame, name, again.get((frame, name), detection)) for frame, name, detection in rows])
             observed = from_corners(corners, np.unique(corners.frame), self.design, self.markers, correlation)
