@@ -19,8 +19,8 @@ from calib.identify.geometry import identify, parameters
 from calib.pipeline import sample_recording
 from rig import recording
 from rig.pose import exp, log
+from tests.chained import written
 from tests.loops import rig
-from tests.test_chains import written
 
 RUNS, NOISE = 200, 0.04  # px
 TOLD = 0.05  # of what an owner may be off by, above which a combination's standard error is the owner's, not the corners'

@@ -11,7 +11,7 @@ import numpy as np
 from vision.corners.cholesky import factor, solve
 from vision.corners.edges import KINDS, EdgePixels
 from vision.corners.gauss_newton import LIGHT, UNKNOWNS, Square, Work
-from vision.corners.jit import kernel
+from vision.corners.jit import kernel, kernel_part
 from vision.corners.shares import ROWS, STRIP
 
 TERMS = 3  # x^2, x y, y^2 of local coordinates, which reach to about 1 on either side of a square's middle
@@ -42,20 +42,7 @@ def bow(pixels: EdgePixels, square: Square, weights: float, work: Work, found: B
     held = max(left, 1e-12) / max(weights - UNKNOWNS, 1.0) / (PLAUSIBLE * light[0]) ** 2
     black = light[3] / light[0]
     cross, within, E = np.zeros((TERMS, ROWS)), np.zeros((TERMS, TERMS)), np.empty((TERMS, STRIP), np.float32)
-    for start in range(0, count, STRIP):
-        J, size = rows[start // STRIP], min(STRIP, count - start)
-        _bowed(pixels, start, size, black, J, E)
-        for a in range(TERMS):
-            for i in range(ROWS):
-                total = np.float32(0)
-                for k in range(size):
-                    total += E[a, k] * J[i, k]
-                cross[a, i] += total
-            for b in range(a, TERMS):
-                total = np.float32(0)
-                for k in range(size):
-                    total += E[a, k] * E[b, k]
-                within[a, b] += total
+    _products(pixels, rows, black, E, cross, within)
     right, M, unit = np.empty(TERMS), np.empty((TERMS, TERMS)), np.empty(TERMS)
     for a in range(TERMS):
         solve(L, UNKNOWNS, cross[a], gain[a])
@@ -90,6 +77,27 @@ def bow(pixels: EdgePixels, square: Square, weights: float, work: Work, found: B
             for k in range(size):
                 J[ROWS - 1, k] -= np.float32(sizes[a]) * E[a, k]
     return left
+
+
+@kernel_part
+def _products(pixels: EdgePixels, rows: np.ndarray, black: float, E: np.ndarray, cross: np.ndarray, within: np.ndarray) -> None:
+    """Add to cross (TERMS, ROWS) and to within (TERMS, TERMS), above its diagonal, sums of what bowed light does to all pixels times their rows,
+    and times itself. E : overwritten"""
+    count = pixels.first[KINDS]
+    for start in range(0, count, STRIP):
+        J, size = rows[start // STRIP], min(STRIP, count - start)
+        _bowed(pixels, start, size, black, J, E)
+        for a in range(TERMS):
+            for i in range(ROWS):
+                total = np.float32(0)
+                for k in range(size):
+                    total += E[a, k] * J[i, k]
+                cross[a, i] += total
+            for b in range(a, TERMS):
+                total = np.float32(0)
+                for k in range(size):
+                    total += E[a, k] * E[b, k]
+                within[a, b] += total
 
 
 @kernel

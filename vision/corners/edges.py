@@ -160,7 +160,7 @@ def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarr
         start, end = _row(quad, pad, v, box[0], box[2])
         if start >= end:
             continue
-        _look(rows, start - box[0], end - box[0], lens, (v - cy) / scale, g, n, marker.margin, reach_x, reach_y)
+        _look(rows, (start - box[0], end - box[0]), marker, (v - cy) / scale, g, (reach_x, reach_y))
         line, found = crop[v - box[1]], np.uintp(0)
         for k in range(np.uintp(start - box[0]), np.uintp(end - box[0])):
             kept[found] = k
@@ -173,12 +173,12 @@ def edge_pixels(crop: np.ndarray, marker: Printed, quad: np.ndarray, g: np.ndarr
 
 
 @kernel_part
-def _look(rows: np.ndarray, start: int, end: int, lens: np.ndarray, v: float, g: np.ndarray, n: int, margin: float, reach_x: float,
-          reach_y: float) -> None:
-    """Ideal coordinates of the columns start .. end of an image row, and where in the outlook stands what they see, into rows (4, width).
+def _look(rows: np.ndarray, span: tuple[int, int], marker: Printed, v: float, g: np.ndarray, reach: tuple[float, float]) -> None:
+    """Ideal coordinates of a span of an image row's columns, and where in the outlook stands what they see, into rows (4, width).
 
-    v : local row; reach_x, reach_y : cells, in the marker's middle; the others as in `edge_pixels`
+    v : local row; reach : cells along X and Y, in the marker's middle; the others as in `edge_pixels`
     """
+    lens, n, margin = marker.lens, marker.n, marker.margin
     width = np.uintp(rows.shape[1])
     flat = rows.reshape(rows.size)
     p, q = along(lens[0], v), along(lens[1], v)
@@ -186,8 +186,8 @@ def _look(rows: np.ndarray, start: int, end: int, lens: np.ndarray, v: float, g:
     qa, qb, qc, qd, qe = np.float32(q.a), np.float32(q.b), np.float32(q.c), np.float32(q.d), np.float32(q.e)
     h = g.astype(np.float32)
     g00, g01, g02, g10, g11, g12, g20, g21 = h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2], h[2, 0], h[2, 1]
-    wide, high, last, edge, white = np.float32(reach_x), np.float32(reach_y), np.float32(n + 3.9), np.float32(n + 1), np.float32(margin)
-    for k in range(np.uintp(start), np.uintp(end)):
+    wide, high, last, edge, white = np.float32(reach[0]), np.float32(reach[1]), np.float32(n + 3.9), np.float32(n + 1), np.float32(margin)
+    for k in range(np.uintp(span[0]), np.uintp(span[1])):
         u = flat[k]
         xi, yi = pa + u * (pb + u * (pc + u * (pd + u * pe))), qa + u * (qb + u * (qc + u * (qd + u * qe)))
         w = _1 / (g20 * xi + g21 * yi + _1)

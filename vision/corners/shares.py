@@ -45,11 +45,11 @@ def shares(pixels: EdgePixels, start: int, size: int, seen: Seen, tables: Tables
         low, high = max(first[kind] - start, 0), min(first[kind + 1] - start, size)
         if low < high:
             if kind == UPRIGHT:
-                _single(pixels.i, pixels, start, low, high, seen.g[0], seen, tables.x, strip)
+                _single(0, pixels, start, low, high, seen, tables.x, strip)
                 for k in range(np.uintp(low), np.uintp(high)):
                     strip[_D_Y + k] = _0
             elif kind == LEVEL:
-                _single(pixels.j, pixels, start, low, high, seen.g[1], seen, tables.y, strip)
+                _single(1, pixels, start, low, high, seen, tables.y, strip)
                 for k in range(np.uintp(low), np.uintp(high)):
                     strip[_D_Y + k] = strip[_D_X + k]
                     strip[_D_X + k] = _0
@@ -71,10 +71,10 @@ def _look_up(table: np.ndarray, strip: np.ndarray, low: int, high: int, away: np
 
 
 @kernel
-def _single(lines: np.ndarray, pixels: EdgePixels, start: int, low: int, high: int, a: np.ndarray, seen: Seen, table: np.ndarray,
-            strip: np.ndarray) -> None:
-    """The same for pixels low .. high of a strip that see one edge, on `lines` of the axis whose row of g is `a`; the derivative at row 2."""
-    x, y, looks, g, slope = pixels.x, pixels.y, pixels.looks, seen.g, seen.slope
+def _single(axis: int, pixels: EdgePixels, start: int, low: int, high: int, seen: Seen, table: np.ndarray, strip: np.ndarray) -> None:
+    """The same for pixels low .. high of a strip that see one edge, across an axis, by that axis' table; the derivative at row 2."""
+    lines, x, y, looks, g, slope = pixels.i if axis == 0 else pixels.j, pixels.x, pixels.y, pixels.looks, seen.g, seen.slope
+    a = g[axis]
     a0, a1, a2, g20, g21 = np.float32(a[0]), np.float32(a[1]), np.float32(a[2]), np.float32(g[2, 0]), np.float32(g[2, 1])
     s00, s01, s10, s11 = np.float32(slope[0, 0]), np.float32(slope[0, 1]), np.float32(slope[1, 0]), np.float32(slope[1, 1])
     s, begin = np.float32(seen.width), np.uintp(start)

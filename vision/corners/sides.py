@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from vision.corners.jit import kernel
+from vision.corners.jit import kernel, kernel_part
 from vision.corners.local_lens import to_ideal
 from vision.corners.ranked import ranked
 
@@ -34,6 +34,44 @@ def _between(crop: np.ndarray, x: float, y: float) -> float:
     return (1 - v) * ((1 - f) * crop[j, i] + f * crop[j, i + 1]) + v * ((1 - f) * crop[j + 1, i] + f * crop[j + 1, i + 1])
 
 
+@kernel_part
+def _black_and_white(crop: np.ndarray, box: np.ndarray, quad: np.ndarray) -> tuple[float, float]:
+    """Grey levels of a marker's own black and white, of places all over a quad (4, 2) px."""
+    inside = np.empty(64)
+    for k in range(64):
+        s, t = (k % 8 + 0.5) / 8, (k // 8 + 0.5) / 8
+        x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
+        y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
+        inside[k] = _between(crop, x, y)
+    return ranked(inside, 5), ranked(inside, 58)
+
+
+@kernel_part
+def _line(where: np.ndarray, offsets: np.ndarray, found: int) -> tuple[float, float]:
+    """(shift, turn) px of a side by the line through the offsets (PROFILES,) of the first `found` profiles, at where (PROFILES,) along it; those
+    that stand apart do not count, and of fewer than half the profiles there is none."""
+    shift, turn = 0.0, 0.0
+    if found < PROFILES // 2:
+        return shift, turn
+    centre = ranked(offsets[:found], found // 2)
+    for tries in range(2):  # the second time without those that stand apart
+        n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
+        for q in range(found):
+            if abs(offsets[q] - centre - turn * where[q]) < (2.0 if tries == 0 else 0.6):
+                n += 1
+                st += where[q]
+                stt += where[q] * where[q]
+                so += offsets[q]
+                sot += where[q] * offsets[q]
+        det = n * stt - st * st
+        if n < PROFILES // 3 or det < 1e-3:
+            break
+        turn = (n * sot - st * so) / det
+        centre = (so - turn * st) / n
+        shift = centre
+    return shift, turn
+
+
 @kernel
 def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, reach: float) -> None:
     """Move the sides of a quad (4, 2) px, in place, onto the steps from dark inside to bright outside that profiles across them show.
@@ -43,13 +81,8 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
     """
     lines = np.empty((4, 3))  # nx x + ny y = d
     where, offsets = np.empty(PROFILES), np.empty(PROFILES)
-    profile, inside = np.empty(2 * int(math.ceil(reach)) + 1), np.empty(64)
-    for k in range(64):
-        s, t = (k % 8 + 0.5) / 8, (k // 8 + 0.5) / 8
-        x = (1 - t) * ((1 - s) * quad[0, 0] + s * quad[1, 0]) + t * ((1 - s) * quad[3, 0] + s * quad[2, 0]) - box[0]
-        y = (1 - t) * ((1 - s) * quad[0, 1] + s * quad[1, 1]) + t * ((1 - s) * quad[3, 1] + s * quad[2, 1]) - box[1]
-        inside[k] = _between(crop, x, y)
-    dark, bright = ranked(inside, 5), ranked(inside, 58)
+    profile = np.empty(2 * int(math.ceil(reach)) + 1)
+    dark, bright = _black_and_white(crop, box, quad)
     if bright - dark < FAINTEST:
         return
     middle = 0.5 * (bright + dark)  # of this marker's own black and white: a brighter face beside it has others
@@ -76,24 +109,7 @@ def straighten(crop: np.ndarray, box: np.ndarray, quad: np.ndarray, size: int, r
             if abs(nearest) <= near:
                 where[found], offsets[found] = t - 0.5, nearest
                 found += 1
-        shift, turn = 0.0, 0.0
-        if found >= PROFILES // 2:
-            centre = ranked(offsets[:found], found // 2)
-            for tries in range(2):  # the second time without those that stand apart
-                n, st, stt, so, sot = 0, 0.0, 0.0, 0.0, 0.0
-                for q in range(found):
-                    if abs(offsets[q] - centre - turn * where[q]) < (2.0 if tries == 0 else 0.6):
-                        n += 1
-                        st += where[q]
-                        stt += where[q] * where[q]
-                        so += offsets[q]
-                        sot += where[q] * offsets[q]
-                det = n * stt - st * st
-                if n < PROFILES // 3 or det < 1e-3:
-                    break
-                turn = (n * sot - st * so) / det
-                centre = (so - turn * st) / n
-                shift = centre
+        shift, turn = _line(where, offsets, found)
         px, py = ax + 0.5 * ex + shift * nx, ay + 0.5 * ey + shift * ny
         dx, dy = ex + turn * nx, ey + turn * ny
         lines[k, 0], lines[k, 1], lines[k, 2] = dy, -dx, dy * px - dx * py

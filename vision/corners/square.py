@@ -203,10 +203,42 @@ def fit_squares(squares: Squares, manner: Manner, fits: Fits) -> None:
 
 
 @kernel_part
+def _tabulated(tables: Tables, before: int, s: float, manner: Manner, directions: np.ndarray) -> int:
+    """Level of the edges' width s (px), whose edge spread functions in directions (2,) are in the tables then; before : that of those that were"""
+    level = 0
+    while level < len(manner.levels) and s > manner.levels[level]:
+        level += 1
+    if level != before:
+        tabulate(manner.tables[level, directions[0]], tables.x)
+        tabulate(manner.tables[level, directions[1]], tables.y)
+    return level
+
+
+@kernel_part
+def _finish(room: Room, square: Square, marker: Printed, m: int, weights: float, limit: float, fits: Fits) -> int:
+    """Status of a fit that has settled, number m of the Fits: bowed light taken out of it, its corners, noise and covariance told.
+
+    weights : sum of its pixels' weights; limit : grey levels, of a trusted residual
+    """
+    every, work, corners, covariance = room.every, room.work, fits.corners[m], fits.covariances[m]
+    over = bow(every, square, weights, work, room.bowed)
+    if not corners_at(square.g, marker.n, corners, work.J):
+        return WANDERED
+    segments(every, square.g, work.rows, work.x, room.sums)
+    noise2 = max(over, 1e-12) / max(weights - UNKNOWNS - TERMS, 1.0)
+    fits.noise[m] = math.sqrt(noise2)
+    corner_covariance(work, noise2, room.bowed.gain, room.bowed.own, covariance)
+    covariance *= misfit(room.sums, fits.noise[m])
+    to_image(marker.lens, marker.centre, fits.quads[m], corners, covariance)
+    if fits.profile.shape[1]:
+        profile_left(every, square, room.bowed.sizes, room.tables, marker.directions, limit, fits.profile)
+    return OK
+
+
+@kernel_part
 def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Manner, fits: Fits, room: Room) -> int:
     """Status of the fit of one marker, number m of the Fits, from edges of width s (px) on. room : of `_room`"""
-    every, sample, work, bowed, sums, hidden, tables, told = (room.every, room.sample, room.work, room.bowed, room.sums, room.hidden,
-                                                              room.tables, room.told)
+    every, sample, work, hidden, tables = room.every, room.sample, room.work, room.hidden, room.tables
     hidden[:] = False
     n, lens, centre, quad, corners = marker.n, marker.lens, marker.centre, fits.quads[m], fits.corners[m]
     scale = centre[2]
@@ -232,13 +264,7 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
             part = stride > 1 and not whole and collections <= SAMPLED  # a sample's optimum may lie far enough off to come back to for ever
             if part:
                 used = _take(every, sample, stride)
-        level = 0
-        while level < len(manner.levels) and s > manner.levels[level]:
-            level += 1
-        if level != tabulated:
-            tabulate(manner.tables[level, marker.directions[0]], tables.x)
-            tabulate(manner.tables[level, marker.directions[1]], tables.y)
-            tabulated = level
+        tabulated = _tabulated(tables, tabulated, s, manner, marker.directions)
         square = Square(g, s, light, slope)
         used = used if part else count
         counted = accumulate(sample if part else every, marker.cells, square, tables, limit, lit, work)
@@ -260,22 +286,11 @@ def _fit_square(crop: np.ndarray, marker: Printed, m: int, s: float, manner: Man
             whole = moved.moved < SETTLED and widened < SAMPLE_STEADY * s
             part = not whole
         elif moved.moved < SETTLED and widened < STEADY * s and away < STRAYED and s <= WIDENED * collected:
-            if counted.doubted and covered(every, g, work.rows, told, hidden):
+            if counted.doubted and covered(every, g, work.rows, room.told, hidden):
                 lost, left = lost + counted.doubted, uncovered(every, g, hidden)
                 dropped, count = dropped + count - left, left
                 if count < FEWEST:
                     return NO_PIXELS
                 continue
-            over = bow(every, square, counted.weights, work, bowed)
-            if not corners_at(g, n, corners, work.J):
-                return WANDERED
-            segments(every, g, work.rows, work.x, sums)
-            noise2 = max(over, 1e-12) / max(counted.weights - UNKNOWNS - TERMS, 1.0)
-            fits.noise[m] = math.sqrt(noise2)
-            corner_covariance(work, noise2, bowed.gain, bowed.own, fits.covariances[m])
-            fits.covariances[m] *= misfit(sums, fits.noise[m])
-            to_image(lens, centre, quad, corners, fits.covariances[m])
-            if fits.profile.shape[1]:
-                profile_left(every, Square(g, s, light, slope), bowed.sizes, tables, marker.directions, limit, fits.profile)
-            return OK
+            return _finish(room, Square(g, s, light, slope), marker, m, counted.weights, limit, fits)
     return UNSETTLED

@@ -35,7 +35,7 @@ def tables(grid: "Grid") -> Tables:
 
 
 class SimplexKernels(NamedTuple):
-    """values : (x (n, axes), *Tables, out (n, outputs)), out filled; fixed_points : (goal (n, axes), *Tables, tolerance, commands (n, axes),
+    """values : (x (n, axes), *Tables, out (n, outputs)), out filled; fixed_points : (goal (n, axes), Tables, tolerance, commands (n, axes),
     change (n,)), commands = goal + value(commands) filled, and what its last step changed."""
 
     values: Callable[..., None]
@@ -81,8 +81,8 @@ def simplex_kernels(axes: int) -> SimplexKernels:
             at(x[q], levels, inverse, cells, strides, values, scratch, out[q])
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def fixed_points(goal: np.ndarray, levels: np.ndarray, inverse: np.ndarray, cells: np.ndarray, strides: np.ndarray, values: np.ndarray,
-                     tolerance: float, commands: np.ndarray, change: np.ndarray) -> None:
+    def fixed_points(goal: np.ndarray, tables: Tables, tolerance: float, commands: np.ndarray, change: np.ndarray) -> None:
+        levels, inverse, cells, strides, values = tables
         scratch, found = (np.empty(axes), np.zeros(axes + 1), np.empty(axes, np.int64)), np.empty(values.shape[1])
         for q in range(goal.shape[0]):
             commands[q] = goal[q]

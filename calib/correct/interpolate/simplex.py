@@ -36,7 +36,7 @@ class Simplex(Grid):
         """(commands (n, axes), what their last step changed (n,)): commands = goal + value(commands), for goals (n, axes)."""
         commands, change = np.empty(goal.shape), np.empty(len(goal))
         kernel = simplex_kernels(goal.shape[1]).fixed_points
-        in_parallel(lambda part: kernel(goal[part], *self.tables, tolerance, commands[part], change[part]), len(goal))
+        in_parallel(lambda part: kernel(goal[part], self.tables, tolerance, commands[part], change[part]), len(goal))
         return commands, change
 
     def weights(self, x: np.ndarray) -> Weights:
