@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-FOLDED = re.compile(r"((?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+):/(?=[^/])")  # what pathlib makes of SCHEME://
+SCHEME = r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:"  # of a URL, as fsspec chains them
+FOLDED = re.compile(rf"^({SCHEME})/(?=[^/])")  # what pathlib makes of SCHEME//
 
 
 def url(path: str | PathLike[str]) -> str:
     """A path as its user writes it: with both strokes after the scheme, where it stands for a URL."""
-    return FOLDED.sub(r"\1://", str(path), count=1) if FOLDED.match(str(path)) else str(path)
+    return FOLDED.sub(r"\1//", str(path))
 
 
 class RigError(Exception):

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.errors import NotEnoughData, RigError
 from rig.outside import shown
-from rig.recording import Recording
+from rig.recording import Poses, Recording
 
 FRAME = re.compile(r"\s*(\d{1,18})(?:\s*-\s*(\d{1,18}))?\s*")
 
@@ -52,7 +52,7 @@ def only(recording: Recording, frames: np.ndarray) -> Recording:
 
 def _without(recording: Recording, out: np.ndarray) -> Recording:
     """The Recording without frames (k,)."""
-    seen, corners, poses = recording.exposures, recording.corners, recording.poses
+    seen, corners = recording.exposures, recording.corners
     keep = ~np.isin(seen.frame, out)
     seen = replace(seen, frame=seen.frame[keep], t=seen.t[keep], camera=list(compress(seen.camera, keep)), image=list(compress(seen.image, keep)))
     if corners is not None:
@@ -60,8 +60,12 @@ def _without(recording: Recording, out: np.ndarray) -> Recording:
         corners = replace(corners, frame=corners.frame[keep], camera=list(compress(corners.camera, keep)), marker=corners.marker[keep],
                           corner=corners.corner[keep], uv=corners.uv[keep],
                           covariance=None if corners.covariance is None else corners.covariance[keep])
-    if poses is not None:
-        keep = ~np.isin(poses.frame, out)
-        poses = replace(poses, frame=poses.frame[keep], T_base_platform=poses.T_base_platform[keep],
-                        covariance=None if poses.covariance is None else poses.covariance[keep])
-    return replace(recording, exposures=seen, corners=corners, poses=poses)
+    poses = None if recording.poses is None else _others(recording.poses, out)
+    return replace(recording, exposures=seen, corners=corners, poses=poses, stages={k: _others(own, out) for k, own in recording.stages.items()})
+
+
+def _others(poses: Poses, out: np.ndarray) -> Poses:
+    """Poses of other frames than these (k,)."""
+    keep = ~np.isin(poses.frame, out)
+    return replace(poses, frame=poses.frame[keep], T_base_platform=poses.T_base_platform[keep],
+                   covariance=None if poses.covariance is None else poses.covariance[keep])

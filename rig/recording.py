@@ -155,11 +155,13 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
     """{number: Poses} of a folder's poses_stage1.csv .. Raises FileError for one of a stage that rig.toml does not have below the last."""
     bodies = bodies_of(design.mechanism)
     out = {}
-    for path in sorted(folder.glob("poses_stage*.csv")):
-        body = path.stem.replace("poses_stage", "stage ")
+    for name in remote.names(folder):
+        if not name.startswith("poses_stage") or not name.endswith(".csv"):
+            continue
+        body = name.removesuffix(".csv").replace("poses_stage", "stage ")
         if body not in bodies:
-            raise FileError(path, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
-        out[int(body.removeprefix("stage "))] = load_poses(path, known)
+            raise FileError(folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
+        out[int(body.removeprefix("stage "))] = load_poses(folder / name, known)
     return out
 
 

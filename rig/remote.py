@@ -10,9 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from rig.errors import FileError, MissingLibrary
+from rig.errors import SCHEME, FileError, MissingLibrary
 
-SCHEME = re.compile(r"(?:[a-z][a-z0-9+.-]*::)*[a-z][a-z0-9+.-]+:")
 LISTED = 64  # folders whose entries are remembered
 
 
@@ -32,7 +31,7 @@ def url(path: Path) -> str:
 def _scheme(path: Path) -> int | None:
     """Which of a path's parts is the scheme from which on it is a URL, None where none is."""
     parts = Path(path).parts
-    found = [k for k, part in enumerate(parts) if part.endswith(":") and SCHEME.fullmatch(part)]
+    found = [k for k, part in enumerate(parts) if part.endswith(":") and re.fullmatch(SCHEME, part)]
     return found[-1] if found and not os.path.exists(Path(*parts[: found[-1] + 1])) else None
 
 
@@ -68,8 +67,8 @@ def size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
 
 
-def read(path: Path, most: int) -> bytes:
-    """The first bytes of a file behind a URL, all of it where it has no more than `most`.
+def read(path: Path, most: int | None = None) -> bytes:
+    """A file behind a URL, or so many of its first bytes.
 
     Raises FileNotFoundError where it is missing, MissingLibrary without what opens it, FileError for what else goes wrong
     """

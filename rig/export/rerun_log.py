@@ -105,11 +105,15 @@ def _exposures(stream: Any, rr: Any, recording: Recording) -> int:
 
 
 def _moved(stream: Any, rr: Any, recording: Recording) -> None:
-    """The platform, its way, and a hexapod's struts, at every pose."""
+    """The platform, its way, and a hexapod's struts, at every pose; a chain's stages below the last at theirs."""
     poses, m = recording.poses, recording.design.mechanism
+    at = dict(zip(*(values.tolist() for values in recording.exposures.times())))
+    for number, own in recording.stages.items():
+        for k, frame in enumerate(own.frame.tolist()):
+            _at(stream, frame, at[frame])
+            stream.log(f"base/stage_{number}", _placed(rr, own.T_base_platform[k]))
     if poses is None:
         return
-    at = dict(zip(*(values.tolist() for values in recording.exposures.times())))
     order = sorted(range(len(poses.frame)), key=lambda k: at[int(poses.frame[k])])
     for k in order:
         T = poses.T_base_platform[k]

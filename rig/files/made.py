@@ -10,7 +10,6 @@ from rig.errors import FileError
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
-LARGEST = 1 << 31  # bytes that are fetched of a file behind a URL
 RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "machine.json",
             "diagnosis.json", "images")  # what a folder is read from, so that what is left of one mixes with another
 
@@ -59,7 +58,7 @@ def load(folder: Path) -> Made:
     """Made of a folder; of one without a manifest nothing is known. Raises FileError for a manifest that is none."""
     path = folder / MANIFEST
     try:
-        tree = json.loads((remote.read(path, LARGEST) if remote.is_remote(path) else path.read_bytes()).decode("utf-8"))
+        tree = json.loads((remote.read(path) if remote.is_remote(path) else path.read_bytes()).decode("utf-8"))
         if tree["schema"] != SCHEMA:
             raise FileError(path, f'is no manifest that is known here: its schema is {tree["schema"]!r}, not "{SCHEMA}"')
         origin = tree["origin"] and Origin(str(tree["origin"]["command"]), tuple(map(str, tree["origin"]["arguments"])),
@@ -85,20 +84,12 @@ def complete(folder: Path) -> None:
 def digest(path: Path) -> str:
     """sha256 of a file, in hexadecimal digits; of what is no file that can be read, an empty text."""
     whole = sha256()
-    if remote.is_remote(path):
-        return _fetched(path)
     try:
+        if remote.is_remote(path):
+            return sha256(remote.read(path)).hexdigest()
         with open(path, "rb") as file:
             while block := file.read(1 << 20):
                 whole.update(block)
     except OSError:
         return ""
     return whole.hexdigest()
-
-
-def _fetched(path: Path) -> str:
-    """`digest` of a file behind a URL."""
-    try:
-        return sha256(remote.read(path, LARGEST)).hexdigest()
-    except FileNotFoundError:
-        return ""

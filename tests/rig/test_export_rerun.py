@@ -3,6 +3,7 @@
 import builtins
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -72,6 +73,7 @@ def seen(tmp_path_factory):
 def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     streams, rr = stand_in
     there = recording.load(seen)
+    there = replace(there, stages={1: there.poses})
     assert rerun_log.write(there, tmp_path / "x.rrd", rr) == 0
     logged = streams[0].logged
     for camera in there.design.cameras:
@@ -84,6 +86,8 @@ def test_all_that_a_recording_holds_is_where_it_is(seen, stand_in, tmp_path):
     for k, (what, times) in enumerate(moved):
         np.testing.assert_array_equal(what.translation, there.poses.T_base_platform[k].translation)
         assert times == {"t": t[int(there.poses.frame[k])], "frame": int(there.poses.frame[k])}
+    stage = [(what.translation.tolist(), times) for place, what, times in logged if place == "base/stage_1"]
+    assert sorted(stage, key=str) == sorted(((what.translation.tolist(), times) for what, times in moved), key=str)
     struts = [what.given[0] for place, what, _ in logged if place == "base/struts"]
     lengths = np.linalg.norm(np.diff(struts[7], axis=1)[:, 0], axis=1) - there.design.mechanism.strut_zeros
     np.testing.assert_allclose(lengths, hexapod.inverse(there.poses.T_base_platform[7], there.design.mechanism), atol=1e-12)

@@ -1,13 +1,15 @@
 """A recording folder: what is read, and every way to spoil it, each with a complaint that names its place."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rig import observed, recording, writing
 from rig.errors import FileError, RigError
-from rig.pose import difference
+from rig.masking import masked
+from rig.pose import difference, pose
 from tests.conftest import BENCH, SHARED
 
 
@@ -138,6 +140,15 @@ def test_commands_are_linear_between_rows_and_dwell_after_the_last():
     np.testing.assert_allclose(commands.at([0.25, 1.5, 7.0])[:, 0], [0.25, 1, 1])
     with pytest.raises(RigError, match="before the first"):
         commands.at(-0.1)
+
+
+def test_frames_that_are_masked_are_in_no_poses():
+    poses = observed.Poses(np.arange(4), pose(np.zeros((4, 3)), np.zeros((4, 3))), np.tile(np.eye(6), (4, 1, 1)))
+    whole = replace(recording.load(BENCH / "check"), poses=poses, stages={1: poses})
+    left = masked(whole, "1-2")
+    for own in (left.poses, left.stages[1]):
+        assert own.frame.tolist() == [0, 3] and len(own.T_base_platform) == len(own.covariance) == 2
+    assert not np.isin(left.exposures.frame, (1, 2)).any()
 
 
 def test_poses_survive_writing(tmp_path):

@@ -43,7 +43,7 @@ def test_a_recording_behind_a_url_is_the_one_in_the_folder(kept, recording_folde
 
 def test_images_are_fetched_one_by_one_when_they_are_read(kept, monkeypatch):
     address, fetched = kept(BENCH / "check"), []
-    monkeypatch.setattr(remote, "read", lambda path, most, real=remote.read: fetched.append(path.name) or real(path, most))
+    monkeypatch.setattr(remote, "read", lambda path, most=None, real=remote.read: fetched.append(path.name) or real(path, most))
     found = recording.load(address)
     assert found.has_images and not [name for name in fetched if name.endswith(".png")]
     image = exposures.read_image(found.folder / found.exposures.image[4])
@@ -66,6 +66,13 @@ def test_images_that_are_missing_empty_or_cut_off_are_named(kept, capsys, tmp_pa
         exposures.read_image(recording.Path(f"{address}/{names[2]}"))
     left = recording.load(address, skip_unreadable=True)
     assert [image.problem.split(" ")[:2] for image in left.skipped] == [["no", "such"], ["is", "an"], ["is", "cut"]]
+
+
+def test_stages_of_a_chain_are_looked_for_there_too(kept, recording_folder):
+    (recording_folder / "poses_stage1.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0,0,0,0\n")
+    for folder in (recording_folder, kept(recording_folder)):
+        with pytest.raises(FileError, match="rec/poses_stage1.csv: rig.toml has no 'stage 1' below a last platform"):
+            recording.load(folder)
 
 
 @pytest.mark.parametrize("name, says", [
