@@ -99,6 +99,8 @@ def test_one_effect_is_told_whole_and_a_mistyped_one_refused(capsys):
     assert main(["effects", "backlash"]) == 0
     text = capsys.readouterr().out
     assert "gap 5e-06 to 0.0002 m" in text and "Exposed by:" in text and "--effect backlash:PLACE:gap=" in text
+    assert main(["effects", "thermal_expansion"]) == 0
+    assert "heat the axes" in capsys.readouterr().out
     assert main(["effects", "backlsh"]) == 1
     assert "did you mean backlash?" in capsys.readouterr().err
 

@@ -7,6 +7,7 @@ import numpy as np
 from rig.effects import ALL
 from rig.effects.base import AXES, Effect
 from rig.effects.parameter import Parameter
+from rig.effects.places import of_any_axis
 
 STAGES = {"command": "what the axes are told, and when", "struts": "what the axes do beyond their command",
           "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
@@ -37,7 +38,7 @@ def entry(effect: type[Effect]) -> str:
     return (f"\n### {effect.name}\n\n{_prose(effect.__doc__ or '')}\n\n"
             f"Sits at: {', '.join(_place(kind) for kind in effect.places)}.\n\n"
             "| parameter | unit | what rigs show | bounds | at a joint |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n\n"
-            f"Shown by: {_said(effect.experiment)}.\n\nWhat to do: {_said(effect.action)}\n")
+            f"Shown by: {of_any_axis(effect.experiment)}.\n\nWhat to do: {of_any_axis(effect.action)}\n")
 
 
 def row(p: Parameter, effect: type[Effect]) -> str:
@@ -55,11 +56,6 @@ def _range(ends: tuple[float, float]) -> str:
 
 def _place(kind: str) -> str:
     return {"axis": "`strut N` or `joint N`", "camera": "`camera NAME`", "marker": "`marker ID`", "target": "`target NAME`"}.get(kind, f"`{kind}`")
-
-
-def _said(text: str) -> str:
-    """What an effect says of an axis of any kind."""
-    return text.replace("{axis}s", "axes").format(axis="axis")
 
 
 def _prose(text: str) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 from rig.effects.base import AXES, Effect
 from rig.effects.parameter import Parameter
+from rig.effects.places import of_any_axis
 
 HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")
 SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
@@ -61,7 +62,7 @@ def _row(cells: Iterable[str], widths: list[int]) -> list[str]:
 
 
 def _said(text: str) -> str:
-    return _flat(text.format(axis="axis"))
+    return _flat(of_any_axis(text))
 
 
 def _flat(text: str) -> str:

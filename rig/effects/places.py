@@ -25,6 +25,11 @@ def axis_word(place: str) -> str:
     return word if word in AXES else "strut"
 
 
+def of_any_axis(text: str) -> str:
+    """What an effect says of its {axis}, of an axis of any kind."""
+    return text.replace("{axis}s", "axes").format(axis="axis")
+
+
 def staged(place: str) -> tuple[str, str]:
     """("stage 2 ", "strut 3") of a place in a chain, ("", the place) of any other."""
     found = STAGE.fullmatch(place)
