@@ -75,11 +75,13 @@ def poses(arguments: Namespace, recording: Recording, progress: Progress) -> tup
 
 def in_force(arguments: Namespace, design: Design) -> Accepted:
     """Limbs that stand for vision in a run, which reads them. Raises RigError where they do not, and where vision is not to check them."""
+    from calib.certify import insitu
     from calib.online import limbs_file
+
     if arguments.no_measure:
         raise RigError("--limbs with --no-measure: vision must look at some poses, or a limb that slips is never noticed")
     found = limbs_file.in_force(arguments.limbs, design)
-    channels = design.insitu.channels if design.insitu is not None else ()
+    channels = insitu.measuring(design).channels
     if design.sensors is None or set(channels) - set(design.sensors.channels):
         raise RigError(f"--limbs takes a [sensors] table in rig.toml with the channels {channels[0]} .. {channels[-1]}")
     return found

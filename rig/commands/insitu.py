@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     Closed = tuple[np.ndarray, np.ndarray]  # (error, sigma), each (n, checks) m
 
+
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
@@ -50,11 +51,11 @@ def run(arguments: Namespace) -> int:
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = place_of_page(arguments)
     insitu.stated(recording.design)  # where limbs tell no pose, nothing is read
-    insitu.readings(recording)
+    read = insitu.readings(recording)
     channels = insitu.measuring(recording.design).channels
     asked = None if arguments.use is None else _asked(arguments.use, channels)
     by_vision = sample_recording(recording, progress=Progress())
-    accepted, closed = _held(arguments, recording, by_vision, asked)
+    accepted, closed = _held(arguments, recording, by_vision, read, asked)
     found = accepted.agreement
     _print(found, by_vision.source)
     _print_checks(accepted.limbs, channels, *closed)
@@ -79,15 +80,17 @@ def run(arguments: Namespace) -> int:
     return 0 if passed else 1
 
 
-def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, asked: np.ndarray | None) -> tuple[Accepted, Closed]:
-    """(Accepted, closures of the limbs beyond six) of limbs held against vision. asked : (6,) numbers of those that tell poses, or None"""
+def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: tuple[np.ndarray, np.ndarray],
+          asked: np.ndarray | None) -> tuple[Accepted, Closed]:
+    """(Accepted, closures of the limbs beyond six) of limbs held against vision. read : (frames (f,), lengths (f, limbs) m)
+    asked : (6,) numbers of those that tell poses, or None"""
     import numpy as np
 
     from calib.certify import insitu, limb_closure, limb_steps
     from calib.online import limbs_file
     from calib.store import provenance
 
-    stated, sigma, (frames, every) = insitu.measuring(recording.design), insitu.length_sigma(recording.design), insitu.readings(recording)
+    stated, sigma, (frames, every) = insitu.measuring(recording.design), insitu.length_sigma(recording.design), read
     home = insitu.stated(recording.design).home
     chosen = limb_closure.best(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
     nominal = insitu.stated(recording.design, chosen)

@@ -144,8 +144,8 @@ def _run(arguments: Namespace, design: Design, planned: tuple[Step, ...], settle
     from rig.clock import SystemClock
     from rig.commands.bench import bench_of, set_exposures, shutter_of
     from rig.commands.driving import driving, settled_status
-    from rig.commands.warming import warm
     from rig.commands.looking import Stopping
+    from rig.commands.warming import warm
     from rig.commands.watching import displays_of, looking_of
     from rig.journal import Began, Journal
     from rig.operate import Operator

@@ -53,7 +53,7 @@ def pool() -> Iterator[Any]:
         threads.shutdown(wait=False, cancel_futures=True)
         end_waiting()
         raise
-    finally:
+    else:
         threads.shutdown(wait=False, cancel_futures=True)
 
 

@@ -13,8 +13,8 @@ WORDY = 12  # letters, beyond which a heading of a column does
 
 def words(line: str) -> str:
     """HTML of a line of text; what stands between backticks is a command."""
-    said = (html.escape(part) if k % 2 else escaped(part) for k, part in enumerate(re.split("(`[^`]+`)", line)))
-    return "".join(f"<code>{part[1:-1]}</code>" if part.startswith("`") else part for part in said)
+    parts = enumerate(re.split("`([^`]+)`", line))
+    return "".join(f"<code>{html.escape(part)}</code>" if k % 2 else escaped(part) for k, part in parts)
 
 
 def capital(line: str) -> str:

@@ -23,7 +23,7 @@ class Killed(BaseException):
 
 
 class Instants:
-    """Counts instants, and kills at one of them. at : which, or None; wound : whether a row under way is torn"""
+    """Counts instants, and kills at one of them. at : which, or None"""
 
     def __init__(self):
         self.count, self.at = 0, None
