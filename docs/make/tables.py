@@ -88,7 +88,7 @@ def channels() -> list[tuple[str, str]]:
     """Names that a sensors.csv's channels have where the program knows what they are, with their units."""
     temperatures = (AMBIENT, "strut1_temperature_C` .. `strut6_temperature_C", "camera_NAME_temperature_C")
     return [*((name, "degrees Celsius") for name in temperatures), ("payload_mass_kg", "kg"),
-            ("m1` .. `m6` and further ones", "m, measuring limbs"),
+            ("m1` .. `mn", "m, measuring limbs"),
             ("anything else", "a covariate that the diagnosis may use by its name")]
 
 
