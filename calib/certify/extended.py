@@ -107,7 +107,7 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
     if outcome is not None and outcome.beside:
         if isinstance(field, Weighted):
             field = _scaled(field, said_of(field, outcome.samples), held[kind])
-        elif isinstance(field, RadialMap):
+        elif isinstance(field, RadialMap) and outcome.said[kind]:  # where noise explains all that is left, there is no error to scale
             field = replace(field, inflation=max(1.0, float(np.sqrt(_beyond(held[kind]) / outcome.said[kind]))))
     return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
 

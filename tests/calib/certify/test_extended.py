@@ -57,6 +57,12 @@ def test_auto_takes_what_does_best_on_poses_held_out(gridded, design):
     assert left[0] < left[1]
 
 
+def test_where_noise_explains_all_that_is_left_a_smooth_field_is_empty(design):
+    done, _ = certify_extended(sampled(design, 1, 60)[0], design.mechanism, Asked("radial", False), np.random.default_rng(0))
+    field = done.correction.extension
+    assert field.parts == (None,) * 6 and field.inflation == 1 and done.held_out.after.position[0] < 0.1 * done.held_out.before.position[0]
+
+
 def test_scattered_samples_leave_the_grids_out_of_auto_and_refuse_them_by_name(design):
     samples, _ = sampled(design, 5, 40)
     with pytest.raises(RigError, match="fill no grid"):
