@@ -75,7 +75,11 @@ def load(path: Path | str) -> Accepted:
     chosen = np.arange(6) if "chosen" not in tree.tree else tree.array("chosen", (6,)).astype(int) - 1
     if len(set(chosen.tolist())) != 6 or chosen.min() < 0:
         tree.fail(f"chosen must be six different limbs, counted from 1, got {(chosen + 1).tolist()}", "chosen")
-    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, _checks_in(tree)), nominal,
+    checks = _checks_in(tree)
+    others = [] if checks is None else checks.limbs.tolist()
+    if sorted([*chosen.tolist(), *others]) != list(range(6 + len(others))):
+        tree.fail(f"chosen {(chosen + 1).tolist()} and the limbs of checks {[i + 1 for i in others]} must be all limbs, each once", "checks")
+    found = Accepted(Limbs(hexapod, covariance_in(tree, 42, "covariance"), sigma, chosen, checks), nominal,
                      Agreement(table.whole("n", 1), tolerance=tree.array("tolerance", (6,)), **parts), _withdrawal(tree),
                      dict(tree.table("provenance").tree))
     verdict = tree.text("verdict", VERDICTS)
@@ -90,7 +94,7 @@ def in_force(path: Path | str, design: Design) -> Accepted:
     found = load(path)
     limbs, six = measuring(design), found.limbs.chosen
     spare = 0 if found.limbs.checks is None else len(found.limbs.checks.limbs)
-    if len(limbs.channels) != len(six) + spare or six.max() >= len(limbs.channels):
+    if len(limbs.channels) != len(six) + spare:
         raise RigError(f"{path} is of other limbs than rig.toml states in [insitu]: of {len(six) + spare}, not of {len(limbs.channels)}")
     other = stated(design, six)
     if found.verdict == "refused":

@@ -72,7 +72,9 @@ def test_a_file_gives_back_what_was_accepted(accepted, limbed, tmp_path):
     (lambda tree: tree["agreement"]["bias"].pop(), "agreement.bias must have 6 numbers, got 5"),
     (lambda tree: tree["agreement"]["surely"].__setitem__(0, 1.0), "verdict is 'accepted', but its own figures say 'refused'"),
     (lambda tree: tree["covariance"][3].__setitem__(3, -1.0), "covariance is no covariance"),
-    (lambda tree: tree.update(schema="limbs/2"), "its schema"),
+    (lambda tree: tree.update(schema="limbs/2"), "its schema"), (lambda tree: tree.update(chosen=[1, 2, 3, 4, 5, 5]), "six different limbs"),
+    (lambda tree: tree.update(checks=[{"limb": 9, "base_joint": [0, 0, 0], "platform_joint": [0, 0, 0], "zero": 0, "reading_sigma": 1e-6,
+                                       "covariance": np.eye(7).tolist()}]), "the limbs of checks .9. must be all limbs, each once"),
 ])
 def test_a_spoilt_file_names_file_and_value(accepted, tmp_path, spoil, says):
     path = tmp_path / "limbs.json"
