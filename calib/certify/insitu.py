@@ -78,11 +78,6 @@ class Limbs:
         return own, pose_jacobian(T_base_platform, self.hexapod) @ half
 
 
-def length_sigma(design: Design) -> float:
-    """m, standard deviation of a limb's reading as rig.toml has it. Raises RigError for a rig without [insitu]."""
-    return measuring(design).length_sigma
-
-
 def measuring(design: Design) -> MeasuringLimbs:
     """The measuring limbs as rig.toml has them. Raises RigError for a rig without [insitu]."""
     if design.insitu is None:
@@ -98,11 +93,7 @@ def stated(design: Design, chosen: np.ndarray | None = None) -> Hexapod:
     limbs = measuring(design)
     if not isinstance(design.mechanism, Hexapod):
         raise RigError(f"measuring limbs are for hexapods, not for a mechanism of kind {design.mechanism.kind!r}")
-    limb_closure.refuse_few(limbs)
-    home, six = design.mechanism.home, np.arange(6) if chosen is None else chosen
-    base, platform = limbs.base_joints[six], limbs.platform_joints[six]
-    length = np.linalg.norm(home.apply(platform) - base, axis=1)
-    return Hexapod(base, platform, np.stack([0.2 * length, 3 * length], axis=1), home, limbs.zeros[six])
+    return limb_closure.legs(limbs, design.mechanism.home).six(np.arange(6) if chosen is None else chosen)
 
 
 def readings(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

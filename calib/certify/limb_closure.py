@@ -60,11 +60,15 @@ class Unclosed:
 
 def best(stated: MeasuringLimbs, home: RigidTransform, T: RigidTransform) -> np.ndarray:
     """(6,) numbers, from 0, of the limbs that tell poses (n,) best. Raises RigError for fewer than six, and where no six hold the platform."""
+    of = legs(stated, home)
+    return np.arange(redundant.SIX) if len(of.names) == redundant.SIX else redundant.best_six(of, T)
+
+
+def legs(stated: MeasuringLimbs, home: RigidTransform) -> redundant.Legs:
+    """Legs of all limbs as rig.toml has them, as if their geometry were known. home : T_base_platform. Raises RigError for fewer than six"""
     refuse_few(stated)
     n = len(stated.channels)
-    of = redundant.Legs(stated.channels, stated.base_joints, stated.platform_joints, stated.zeros, home, np.full(n, stated.length_sigma),
-                        np.zeros((7 * n, 7 * n)))
-    return np.arange(n) if n == redundant.SIX else redundant.best_six(of, T)
+    return redundant.legs([("m", stated, np.full(n, stated.length_sigma), np.zeros((7 * n, 7 * n)))], home)
 
 
 def refuse_few(stated: MeasuringLimbs) -> None:
@@ -120,10 +124,8 @@ def _leg(T: RigidTransform, read: np.ndarray, stated: np.ndarray, variance: np.n
 
 def _closures(limbs: Limbs, checks: Checks, lengths: np.ndarray) -> redundant.Closures:
     """Closures of the checks, poses by the six. lengths : (n, limbs) m"""
-    k, m = len(checks.limbs), limbs.hexapod
-    covariance = np.zeros((7 * (6 + k), 7 * (6 + k)))
-    for i, own in enumerate(checks.covariance):
-        covariance[7 * (6 + i) : 7 * (7 + i), 7 * (6 + i) : 7 * (7 + i)] = own
+    m = limbs.hexapod
+    covariance = scipy.linalg.block_diag(np.zeros((42, 42)), *checks.covariance)  # checks are fitted to what the six tell
     order = np.r_[limbs.chosen, checks.limbs].astype(int)
     of = redundant.Legs(tuple(f"m{i + 1}" for i in order), np.vstack([m.base_joints, checks.base]), np.vstack([m.platform_joints, checks.platform]),
                         np.r_[m.strut_zeros, checks.zeros], m.home, np.r_[limbs.sigma, checks.sigma], covariance)
@@ -154,10 +156,10 @@ def whole(limbs: Limbs, stated: MeasuringLimbs) -> tuple[MeasuringLimbs, np.ndar
 
     sigma[six], covariance[np.ix_(places(six), places(six))] = limbs.sigma, limbs.covariance
     c = limbs.checks
-    for k, i in enumerate(() if c is None else c.limbs):
-        assert c is not None  # or there were none to go through
-        own = places(np.array([i]))
-        base[i], platform[i], zeros[i], sigma[i], covariance[np.ix_(own, own)] = c.base[k], c.platform[k], c.zeros[k], c.sigma[k], c.covariance[k]
+    if c is not None:
+        base[c.limbs], platform[c.limbs], zeros[c.limbs], sigma[c.limbs] = c.base, c.platform, c.zeros, c.sigma
+        for i, own in zip(c.limbs, c.covariance):
+            covariance[np.ix_(places(np.array([i])), places(np.array([i])))] = own
     return replace(stated, base_joints=base, platform_joints=platform, zeros=zeros), sigma, covariance
 
 
@@ -171,7 +173,7 @@ def first(limbs: Limbs, lengths: np.ndarray) -> Unclosed | None:
         return None
     found = _closures(limbs, checks, lengths)
     square = np.einsum("nc,nc->n", found.error, np.linalg.solve(found.covariance, found.error[..., None])[..., 0])
-    open_ = square > scipy.stats.chi2.isf(RARE, len(checks.limbs))
+    open_ = square > scipy.special.chdtri(len(checks.limbs), RARE)
     run = np.flatnonzero(np.convolve(open_, np.ones(IN_A_ROW), "valid") == IN_A_ROW)
     if not len(run):
         return None

@@ -90,8 +90,8 @@ def _held(arguments: Namespace, recording: Recording, by_vision: Sampled, read: 
     from calib.online import limbs_file
     from calib.store import provenance
 
-    stated, sigma, (frames, every) = insitu.measuring(recording.design), insitu.length_sigma(recording.design), read
-    home = insitu.stated(recording.design).home
+    stated, (frames, every) = insitu.measuring(recording.design), read
+    sigma, home = stated.length_sigma, insitu.stated(recording.design).home
     chosen = limb_closure.best(stated, home, by_vision.samples.T_base_platform) if asked is None else asked
     nominal = insitu.stated(recording.design, chosen)
     samples = insitu.read(by_vision.samples, frames, every[:, chosen])

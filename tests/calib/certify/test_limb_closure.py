@@ -68,7 +68,7 @@ def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, lim
     assert told[0] is None and told[1] is None and any(told) and not source.in_force
 
 
-def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path, capsys):
+def test_fewer_limbs_than_freedoms_are_refused_with_the_reason(tmp_path):
     (tmp_path / "rig.toml").write_text(layout.layout(0.3, limbs=4))
     design = design_file.load(tmp_path / "rig.toml")
     with pytest.raises(RigError, match="has 4 measuring limbs in .insitu., and a platform has six freedoms: fewer than six lengths tell no"):
