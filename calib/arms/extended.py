@@ -42,7 +42,8 @@ def left(samples: Samples, arm: Arm, shared: np.ndarray) -> Known:
 
 
 def owners_summands(samples: Samples, placed: Arm) -> Summands:
-    """Summands by the owner's model, placed where the instrument sees it stand. Raises RigError as `summands`"""
+    """Summands by the owner's model, placed where the instrument sees it stand; covariance : what all poses share included. Raises RigError as
+    `summands`"""
     whole = replace(samples, covariance=samples.total_covariance(), common=samples.common[..., :0])
     return summands(whole, placed, np.zeros(0))
 

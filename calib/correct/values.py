@@ -26,14 +26,14 @@ def summand_columns(axes: int) -> tuple[str, ...]:
 
 
 class Summands(NamedTuple):
-    """KSF_PM of n samples: values (n, axes) m or rad; covariance : (n, axes, axes) of the measured poses, what all poses share included."""
+    """KSF_PM of n samples: values (n, axes) m or rad; covariance : (n, axes, axes), by that of the measured poses."""
 
     values: np.ndarray
     covariance: np.ndarray
 
 
 def of_struts(samples: Samples, nominal: Struts) -> Summands:
-    """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model."""
+    """Summands of a machine on struts: commands less IK(GDK(x)) of the owner's model; covariance : what all poses share included."""
     A = strut_jacobian(samples.T_base_platform, nominal)
     return Summands(samples.commanded - mechanisms.of(nominal).inverse(samples.T_base_platform, nominal),
                     A @ samples.total_covariance() @ np.swapaxes(A, 1, 2))

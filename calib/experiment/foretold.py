@@ -61,8 +61,9 @@ class PerFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A plan's recording under each hypothesis. model : LinearisedModel under the first; other : OperatingPoint under the last
-    columns : [Column] of each one's own numbers; moved : [Column (1)] of what is seen otherwise than under the first; shapes : of what each does"""
+    """A plan's recording under each hypothesis. fits : [Refined] of each; model : LinearisedModel under the first; other : OperatingPoint under the
+    last; columns : [Column] of each one's own numbers; moved : [Column (1)] of what is seen otherwise than under the first
+    shapes : [Column (1)] of what each does"""
 
     fits: list[Refined]
     model: LinearisedModel

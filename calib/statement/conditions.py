@@ -7,9 +7,7 @@ import numpy as np
 
 from calib.certify.held_poses import REST, HeldPoses
 from rig.design import Arm, Hexapod
-from rig.recording import LIMB, Recording
-
-PAYLOAD = "payload_mass_kg"
+from rig.recording import LIMB, PAYLOAD, Recording
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ def _span(values: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def certified_line(w: Workspace, certified: np.ndarray) -> str:
+def certified_line(certified: np.ndarray) -> str:
     """A line on what a certificate promises in the cells. certified : (c, 2) m and rad as `certified` gives it."""
     known = np.isfinite(certified[:, 0])
     if not known.any():

@@ -49,7 +49,7 @@ def run(arguments: Namespace) -> None:
     unit = mechanisms.unit(correction.nominal)
     print("\n".join(words.lines(w, unit)))
     if certified is not None:
-        print(words.certified_line(w, certified))
+        print(words.certified_line(certified))
     if correction.extension is not None or any(correction.remainder):
         print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
     arguments.result = {**workspace_out(w), "room_of": turned_home(correction)}

@@ -13,6 +13,7 @@ from calib.samples import blocks
 FOLDS = 5
 STRETCHES = 30  # over which a gain is judged
 FEWEST = 4  # frames of a stretch
+SHORTER = 4  # stretches in place of one, where something happens at one time
 RIDGE = 1e-9  # keeps directions that a training set cannot see where they stood
 FIRM = 1e-10  # of an information's diagonal, added so that a training set can always be solved for
 
@@ -43,14 +44,14 @@ def stretches(count: int, number: int) -> np.ndarray:
     return blocks(count, min(number, max(count // FEWEST, 2)))
 
 
-def folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = (), shorter: int = 4) -> np.ndarray:
+def folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.ndarray:
     """(F,) which frames are held out together: a stretch of time; where something happens at one time (sudden), several shorter ones, so that
     what comes before it and after it is never held out whole. sides : each (F,) bool, what is before such a moment or after it; of one that
     is within a single stretch, the later half is held out with the next."""
     count = min(FOLDS, frames // FEWEST)
     if not sudden:
         return blocks(frames, count)
-    fold = blocks(frames, min(shorter * FOLDS, frames // FEWEST)) % count
+    fold = blocks(frames, min(SHORTER * FOLDS, frames // FEWEST)) % count
     for own in map(np.flatnonzero, sides):
         if len(own) > 1 and len(np.unique(fold[own])) == 1:
             fold[own[len(own) // 2 :]] = (fold[own[0]] + 1) % count

@@ -13,8 +13,8 @@ from calib.arms.certify import model_covariance
 from calib.arms.extended import certify_extended, left, owners, promised_alone, single_step_misses
 from calib.certify.calibration import Calibration
 from calib.certify.extended import Asked
-from calib.samples import Samples
 from calib.correct.interpolate.kinds import as_dict, from_entries
+from calib.samples import Samples
 from rig import recording
 from rig.configurations import division, low_discrepancy
 from rig.entries import Entries

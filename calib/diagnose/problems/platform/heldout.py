@@ -12,6 +12,7 @@ from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, Linea
 from calib.diagnose.problems.platform.refine import Refined
 from rig.effects.base import Effect
 
+
 def cross_validate(refined: Refined, numbers: set[int], block: int) -> CrossValidation:
     """CrossValidation of some admitted effects (their numbers) together, in a block: CORNERS or CLOSURES, all else fitted on the same stretches."""
     before, after, _ = _both(refined, numbers)

@@ -62,7 +62,7 @@ class Tolerated:
         gram = (self.corners.T @ self.corners).toarray() - inner.T @ inner + self.closures.T @ self.closures
         return Projection(onto, right, gram - onto.T @ onto)
 
-    def with_column(self, model: LinearisedModel, column: Column) -> np.ndarray:
+    def with_column(self, column: Column) -> np.ndarray:
         """(k, q) inner products of a Column (k) with the tolerances' one, nuisances still in."""
         seen = [part.T @ own for part, own in zip(column.parts, (self.corners, self.closures)) if part is not None]
         return np.sum(seen, axis=0)
@@ -154,7 +154,7 @@ def evidence(seen: Projection, sigma: np.ndarray) -> float:
 def share_beside(model: LinearisedModel, found: Tolerated, column: Column, sized: bool) -> float:
     """Of the delta chi-square that a Column (q) explains, the share that it explains beside tolerances. sized : whether its size is its own"""
     alone, tolerances = model.linear.project(column), found.projected(model)
-    cross = found.with_column(model, column) - alone.onto.T @ tolerances.onto
+    cross = found.with_column(column) - alone.onto.T @ tolerances.onto
     taken = np.linalg.solve(tolerances.gram + np.diag(found.sigma**-2.0), np.column_stack([tolerances.right, cross.T]))
     right, gram = alone.right - cross @ taken[:, 0], alone.gram - cross @ taken[:, 1:]
     deltas = [(whole if sized else solve)(Normal(b[None], G[None], np.diag(alone.gram)[None])).delta_chi2[0]
