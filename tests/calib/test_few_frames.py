@@ -71,7 +71,7 @@ def test_a_knock_that_few_frames_see_is_named(tmp_path, design, time):
 @pytest.mark.slow
 def test_a_curve_of_many_numbers_is_named_in_few_frames(tmp_path, design):
     found = diagnose(recorded(tmp_path, design, ["transmission_error:strut2:profile=1e-5/0/5e-6/2e-5/4e-6/-4e-6/-3e-5/-1e-5/2e-5/-1e-5"],
-                              route="sobol:30,ladder:1", noise=0.01), only=["transmission_error", "hysteresis", "cyclic_error", "backlash"])
+                              route="sobol:20,ladder:1", noise=0.01), only=["transmission_error", "hysteresis", "cyclic_error", "backlash"])
     assert [(e.name, e.place) for e in found.effects] == [("transmission_error", "strut 2")] and not found.left
 
 
@@ -101,7 +101,7 @@ def test_what_its_own_scatter_caps_is_fitted_however_many_numbers_it_has(worth, 
     model = LinearModel((Block("closures", "m", np.zeros(40), np.arange(41)),), Column((np.zeros((40, 0)),)), None, 10_000)
     scores = [Score(c, {}, np.ones(q), delta, p, q, 1.0, 1.0, np.array([delta])) for c, q, delta, p in
               zip(Scanned.candidates, (5, 1), (38.0, 26.0), (1e-5, 1e-3))]
-    assert all(s.raw_delta_bic(model.size) < PLATFORM.delta_bic for s in scores[:1])
+    assert scores[0].raw_delta_bic(model.size) < PLATFORM.delta_bic
     problem = Scanned({"curve": worth, "line": 12.0})
     assert [s.candidate.name for s in _hidden(problem, "nothing", model, scores)] == said and problem.tried == ["curve", "line"]
 
