@@ -47,16 +47,18 @@ class LackOfFit:
         return self.delta_chi2 * (self.dispersion or 1.0) - self.freedom * np.log(size)
 
 
-def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1) -> LackOfFit | None:
+def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = ALPHA) -> LackOfFit | None:
     """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise alone would, nuisances
-    taken out, tells their size."""
+    taken out, tells their size. alpha : chance above which no dispersion is asked, since that only makes it likelier"""
     normal = framewise(products, test.weights[None])
     solved = solve(normal) if test.prior is None else solve_with_prior(normal, test.prior)
     delta, rank = solved.delta_chi2, float(solved.rank[0])
     if rank == 0:
         return None
-    spread, freedom = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
-    p = davies(delta / spread, rank, freedom)
+    p, spread = davies(delta, rank, np.inf), 1.0
+    if p <= alpha:
+        spread, freedom = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
+        p = davies(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
     return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread)
 

@@ -35,7 +35,7 @@ class Covariate:
 def share(model: LinearModel, block: int, parts: list[tuple[FrameProducts, np.ndarray]], cluster: int = 1) -> Share:
     """Share of a block's squares that functions explain. parts : [(FrameProducts, (F, a, q) weights)] fitted one beside the other
     cluster : frames in a row whose errors may be alike"""
-    found = [tested(model, products, Test("", "", (), weights, 1.0), cluster) for products, weights in parts]
+    found = [tested(model, products, Test("", "", (), weights, 1.0), cluster, alpha=1.0) for products, weights in parts]
     seen = [u for u in found if u is not None]
     if not seen:
         return Share(0.0, 1.0)

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import scipy
 
+from calib.diagnose.engine.chance import davies
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
 from calib.diagnose.engine.products import FrameProducts, solve
 from calib.diagnose.problems.platform.corners import MEDIAN
@@ -89,7 +90,7 @@ def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: st
     dispersion."""
     solved = solve(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
-    chance = float(scipy.special.chdtrc(max(rank, 1), delta))
+    chance = davies(solved.delta_chi2, rank, np.inf)
     if rank and chance > ALPHA:
         return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
