@@ -106,7 +106,12 @@ def command_line(opened: Collection[str], words: tuple[str, ...] = ()) -> Parser
 
 
 def script() -> NoReturn:
-    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that clears itself away."""
+    """The `rig` of a shell: `main`, and where it was stopped the end at once, as nobody waits for an interpreter that clears itself away.
+
+    Products of matrices take one thread unless the environment says otherwise: several wait for each other, for cores that other processes use,
+    ten times as long as they save.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = main()
     if status > 128:
         os._exit(status)

@@ -1,6 +1,9 @@
 """Rigs and recordings that several tests use."""
 
+import os
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as rig.cli.script has it; read when NumPy is loaded
 
 import numpy as np
 import pytest

@@ -121,5 +121,5 @@ def space() -> Iterator[Found]:
 def threads() -> Found:
     """Cores that this process may use, and what limits the libraries' threads."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
+    limits = [f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ]
     return Found("threads", "ok", f"{cores} of {os.cpu_count()} cores" + (f", {', '.join(limits)}" if limits else ""))

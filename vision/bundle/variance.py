@@ -118,32 +118,40 @@ def _printing(told: _Told) -> Printing | None:
 def _likeliest(told: _Told, there: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, float]:
     """(standard deviations (kinds,) of those that are `there`, minus twice their restricted log likelihood but for a constant)."""
     sigma = np.where(there, 1.0 if start is None else start, 0.0)
-    noise, q = told.cost / told.dof, len(told.right)
+    noise, part = told.cost / told.dof, _of(told, sigma)
     for _ in range(ROUNDS):
-        width = sigma[told.kind]
-        M = noise * np.eye(q) + width[:, None] * told.information * width
-        inverse = _inverse(M)
-        x = width * (inverse @ (width * told.right))
+        width = sigma[part.kind]
+        inverse = _inverse(noise * np.eye(len(width)) + width[:, None] * part.information * width)
+        x = width * (inverse @ (width * part.right))
         known = 1 - noise * np.diag(inverse)
-        left = told.cost - 2 * told.right @ x + x @ told.information @ x
+        left = told.cost - 2 * part.right @ x + x @ part.information @ x
         new = sigma.copy()
         for k in np.flatnonzero(sigma > 0):
-            own = told.kind == k
+            own = part.kind == k
             new[k] = min(np.sqrt((x[own] ** 2).sum() / max(known[own].sum(), 1e-9)), MOST)
         new[new < LEAST] = 0.0
         noise, done = float(left / (told.dof - known.sum())), (np.abs(new - sigma) <= SETTLED * sigma).all()
+        part = part if ((new > 0) == (sigma > 0)).all() else _of(told, new)
         sigma = new
         if done:
             break
-    width = sigma[told.kind]
-    M = noise * np.eye(q) + width[:, None] * told.information * width
-    z = width * told.right
+    width = sigma[part.kind]
+    M = noise * np.eye(len(width)) + width[:, None] * part.information * width
+    z = width * part.right
     likelihood = np.linalg.slogdet(M / noise)[1] + told.dof * np.log(noise) + (told.cost - z @ np.linalg.solve(M, z)) / noise
     return sigma, float(likelihood)
 
 
+def _of(told: _Told, sigma: np.ndarray) -> _Told:
+    """_Told of the numbers on prints that are not held at nothing. sigma : (kinds,)"""
+    on = np.flatnonzero(sigma[told.kind] > 0)
+    return replace(told, information=told.information[np.ix_(on, on)], right=told.right[on], kind=told.kind[on])
+
+
 def _inverse(M: np.ndarray) -> np.ndarray:
     """(q, q) inverse of a symmetric positive definite M (q, q). Raises LinAlgError where it is not."""
+    if not len(M):
+        return M
     factor, bad = dpotrf(M, lower=1, clean=1)
     if bad:
         raise np.linalg.LinAlgError(f"the information of {len(M)} numbers on prints, noise added, is not positive definite")
