@@ -23,7 +23,7 @@ docs: .venv/.runs
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[docs]'
 	$(BIN)/python -m docs.make.rig_toml > docs/rig-toml.md
 	$(BIN)/python -m docs.make.tables > docs/tables.md
-	$(BIN)/rig catalogue > docs/effects.md
+	$(BIN)/rig catalogue --force --out docs/effects.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 test: setup

@@ -9,7 +9,6 @@ import numpy as np
 from rig import machine
 from rig.design import Design
 from rig.effects.base import MOTION_STAGES, Effect
-from rig.effects.parameter import Parameter
 from rig.errors import RigError
 from rig.page import stage
 from rig.pose import difference
@@ -17,7 +16,6 @@ from rig.recording import Commands, Sensors
 
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the size that it has
 NONE = 1e-9  # m and rad; less than this moves no platform
-SHOWN = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "s": (1e3, "ms"), "N/m": (1e-6, "N/µm"), "1/K": (1e6, "10⁻⁶/K")}
 
 
 def played(design: Design, commands: Commands, t: np.ndarray, effects: Sequence[Effect], which: int,
@@ -56,14 +54,8 @@ def scaled(effect: Effect, factor: float) -> Effect:
 def said(effect: Effect) -> str:
     """Its first parameter that tells its size, in words."""
     sized = [p for p in effect.parameters if p.role in ("linear", "size", "inverse")]
-    return "" if not sized else f"{sized[0].name.replace('_', ' ')} {_number(sized[0].at(effect.place), getattr(effect, sized[0].name))}"
+    return "" if not sized else sized[0].at(effect.place).said(getattr(effect, sized[0].name))
 
 
 def _times(value: Any, factor: float) -> Any:
     return tuple(v * factor for v in value) if isinstance(value, tuple) else value * factor
-
-
-def _number(parameter: Parameter, value: Any) -> str:
-    scale, unit = SHOWN.get(parameter.unit, (1.0, parameter.unit))
-    numbers = value if isinstance(value, tuple) else (value,)
-    return f"{' '.join(f'{v * scale:.3g}' for v in numbers[:3])}{' ..' if len(numbers) > 3 else ''} {unit}".strip()

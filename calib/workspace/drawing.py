@@ -16,7 +16,7 @@ LEFT, WIDE, TALL = 6.0, 388.0, 300.0  # of a view
 
 
 class Quantity(NamedTuple):
-    """What is drawn of cells. name; title : a line above it; style : of its cells, as document.css has it; values : of a Workspace's cells seen
+    """What is drawn of cells. name; title : a line above it; style : of its cells, as figure.css has it; values : of a Workspace's cells seen
     one behind the other, rows (c,) of each column of them -> a number, NaN for none, in the finest of the units
     units : [(name, how many of the finest it has)], finest first: that one is written in which the greatest has three digits"""
 

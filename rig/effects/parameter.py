@@ -4,6 +4,10 @@ from dataclasses import dataclass, replace
 
 from rig.effects.places import kind_of
 
+SHOWN = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e6, "µrad"), (1e3, "mrad")), "s": ((1e3, "ms"), (1.0, "s")), "N/m": ((1e-6, "N/µm"),),
+         "1/K": ((1e6, "10⁻⁶/K"),)}  # as people read them: the first in which a value is below 1000, or the last
+MOST_SHOWN = 3  # numbers of several
+
 TURNED = {"m": "rad", "N/m": "N m/rad"}  # units of a strut's and of a joint's axis
 
 FAR = 10.0  # times what rigs show, from which a size is said to be unusual
@@ -49,3 +53,11 @@ class Parameter:
         if self.joint is None or kind_of(place) != "joint":
             return self
         return replace(self, unit=TURNED.get(self.unit, self.unit), bounds=self.joint[0], usual=self.joint[1], joint=None)
+
+    def said(self, value: float | tuple[float, ...]) -> str:
+        """Its name and a value, in a unit that people read."""
+        numbers = value if isinstance(value, tuple) else (value,)
+        units = SHOWN.get(self.unit, ((1.0, self.unit),))
+        scale, unit = next((pair for pair in units if max(map(abs, numbers)) * pair[0] < 1000), units[-1])
+        shown = " ".join(f"{v * scale:.3g}" for v in numbers[:MOST_SHOWN])
+        return f"{self.name.replace('_', ' ')} {shown}{' ..' if len(numbers) > MOST_SHOWN else ''} {unit}".strip()

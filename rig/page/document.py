@@ -60,7 +60,7 @@ def text(page: Page) -> str:
     state, why = page.verdict
     links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
     steps = listed(map(capital, page.next_steps), ordered=len(page.next_steps) > 1)
-    style, script = asset("theme.css") + asset("document.css"), asset("document.js")
+    style, script = asset("theme.css") + asset("document.css") + asset("figure.css"), asset("document.js")
     described = html.escape(f"{state}: {why}")
     return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
             f'<meta http-equiv="Content-Security-Policy" content="{SHUT}"><meta name="color-scheme" content="light dark">'

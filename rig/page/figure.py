@@ -12,7 +12,7 @@ from rig.page.svg import TEXT, hover, svg, text
 LEFT, RIGHT, BELOW = 52.0, 392.0, 24.0
 HIGH = 190.0  # of a panel's drawing
 MOST = 2500  # dots of a series that are drawn: of more, evenly chosen ones
-COLOURS = 6  # that document.css has
+COLOURS = 6  # that figure.css has
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,13 +34,13 @@ def panels(*figures: str) -> str:
 
 
 def panel(title: str, labels: tuple[str, str], series: Sequence[Series], log: bool = False, limits: tuple[float, float] | None = None,
-          level: float | None = None) -> str:
+          level: float | None = None, high: float = HIGH) -> str:
     """A figure of series. labels : (x, y) with their units; log : of y; limits : of y, in place of the values' own; level : y of a line drawn
-    across, or None"""
+    across, or None; high : of its drawing, in the figure's own units"""
     legend = [s for s in series if s.name]
     rows = _rows([s.name for s in legend])
     top = 19.0 + (TEXT + 7) + 18.0 * (max(row for row, _ in rows) + 1 if rows else 0)
-    bottom = top + HIGH
+    bottom = top + high
     halves = [s.half for s in series if s.half is not None]
     ys = [s.y for s in series] + [s.y + sign * half for s in series if (half := s.half) is not None for sign in (-1, 1)] if halves else \
          [s.y for s in series]

@@ -11,6 +11,7 @@ from rig.page.svg import TEXT, WIDTH, hover, svg, text
 TOP = TEXT + 11.0
 Placed = Callable[[np.ndarray], np.ndarray]  # (n, 2) of the plane -> (n, 2) of the figure
 MOST = 3000  # arrows that are drawn: of more, evenly chosen ones
+MARKED = 0.25  # of a diagonal, drawn from an outline's first corner
 FEWEST = 5  # values of a patch that is drawn
 
 
@@ -35,7 +36,15 @@ class Cells:
     unit: str
 
 
-def image_plane(title: str, below: str, size: tuple[float, float], layers: Sequence[Arrows | Cells], dots: np.ndarray | None = None) -> str:
+@dataclass(frozen=True, slots=True, eq=False)
+class Quads:
+    """corners : (n, 4, 2) of outlines, in the plane's own units, the first of which is marked; colour : as of a figure's Series, -1 for grey"""
+
+    corners: np.ndarray
+    colour: int = -1
+
+
+def image_plane(title: str, below: str, size: tuple[float, float], layers: Sequence[Arrows | Cells | Quads], dots: np.ndarray | None = None) -> str:
     """A figure of an image. below : a line below it; size : (width, height) px; dots : (n, 2) px of places marked, or None"""
     width, height = size
     scale = (WIDTH - 8) / width
@@ -46,7 +55,10 @@ def image_plane(title: str, below: str, size: tuple[float, float], layers: Seque
         return points * scale + [4 + scale / 2, TOP + scale / 2]
 
     for layer in layers:
-        parts += _cells(layer, placed, scale, TOP + tall) if isinstance(layer, Cells) else [_arrows(layer, placed, scale)]
+        if isinstance(layer, Cells):
+            parts += _cells(layer, placed, scale, TOP + tall)
+        else:
+            parts.append(_quads(layer, placed) if isinstance(layer, Quads) else _arrows(layer, placed, scale))
     if dots is not None and len(dots):
         d = "".join(f"M{a:.1f} {b:.1f}h.01" for a, b in placed(dots[:: -(-len(dots) // MOST)]).tolist())
         parts.append(f'<path class="specks" d="{d}"/>')
@@ -80,3 +92,10 @@ def _arrows(arrows: Arrows, placed: Placed, scale: float) -> str:
     d = "".join(f"M{x:.1f} {y:.1f}l{u:.1f} {v:.1f}" for (x, y), (u, v) in zip(at.tolist(), by.tolist()))
     return (f'<path class="arrows c{arrows.colour} valued" data-unit="{escaped(arrows.unit)}" data-enlarged="{arrows.enlarged * scale:.6g}" '
             f'd="{d}"/>')
+
+
+def _quads(quads: Quads, placed: Placed) -> str:
+    inward = quads.corners[:, :1] + MARKED * (quads.corners[:, 2:3] - quads.corners[:, :1])
+    d = "".join("M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in corners) + f"ZL{x:.1f} {y:.1f}"
+                for *corners, (x, y) in placed(np.concatenate([quads.corners, inward], axis=1)).tolist())
+    return f'<path class="line {"grey" if quads.colour < 0 else f"c{quads.colour}"}" d="{d}"/>'

@@ -1,4 +1,4 @@
-"""Figures as SVG drawn into a page: readable on a phone, in the page's own colours by day and by night; document.css has their classes."""
+"""Figures as SVG drawn into a page: readable on a phone, in the page's own colours by day and by night; figure.css has their classes."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ def svg(height: int, title: str, parts: Sequence[str], values: str = "") -> str:
 
 
 def text(x: float, y: float, words: str, anchor: str = "start", style: str = "") -> str:
-    """Words at a place of a figure. anchor : start, middle or end; style : a class of document.css"""
+    """Words at a place of a figure. anchor : start, middle or end; style : a class of figure.css"""
     named = f' class="{style}"' if style else ""
     return f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escaped(words)}</text>'
 

@@ -55,7 +55,7 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
     gap = report(diagnosis).findings[0].parameters["gap"]
     assert f"Backlash at strut 3, gap {gap.value * 1e6:.3g} µm (95 %: {gap.ci95[0] * 1e6:.3g} to {gap.ci95[1] * 1e6:.3g})" in text
     assert BY_NAME["backlash"].action_at("strut 3") in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
-    assert page.count('<svg class="figure"') == 6  # the rig, three of what gives it away, what remains of struts and of cameras
+    assert page.count('<svg class="figure"') == 8  # the rig, three of what gives it away, what remains of struts and of cameras, two of its sketch
     assert not re.search(r'(src|href)="(?!data:)', page) and "@import" not in page and 'default-src \'none\'' in page
     assert page.index("<strong>bad</strong>") < page.index("<h1>") < page.index("What to do next")
 

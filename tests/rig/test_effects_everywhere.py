@@ -10,7 +10,6 @@ from rig.design import Actuator, Arm, Design, Planar2, Platform
 from rig.effects import ALL
 from rig.effects.base import MOTION_STAGES, Context
 from rig.effects.check import check
-from rig.effects.catalogue import page
 from rig.effects.drawing import Drawing
 from rig.effects.motion import Path
 from rig.effects.parse import parse
@@ -18,7 +17,6 @@ from rig.effects.vibration import one_direction
 from rig.errors import RigError
 from rig.pose import difference
 from rig.recording import Commands, Sensors
-from tests.conftest import ROOT
 from tests.rig.arms import UR10
 
 KINDS = ("hexapod", "planar2", "arm")
@@ -155,10 +153,6 @@ def test_links_that_grow_move_the_hand_as_longer_links_do():
     q, grown = np.random.default_rng(6).uniform(-2, 2, (10, 6)), replace(UR10, joints=UR10.rows * [1, 1 + 1e-6, 1 + 1e-6, 1, 1])
     sway = arm.grown(None, q, UR10, np.full((10, 6), 1e-6))[1]
     np.testing.assert_allclose(sway, difference(arm.forward(q, UR10), arm.forward(q, grown)), atol=1e-11)
-
-
-def test_the_page_of_the_catalogue_is_current():
-    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == page(), "rig catalogue > docs/effects.md"
 
 
 def test_a_shaking_has_one_notation(design):

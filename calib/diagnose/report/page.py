@@ -6,9 +6,12 @@ from typing import Any, Protocol
 
 from calib.diagnose.report import words
 from calib.diagnose.report.schema import FindingEntry, Report
+from rig.effects import BY_NAME
 from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.figure import panels
 from rig.page.parts import folded, heading, note, paragraph, table
 from rig.page.stage import scripts
+from vision.sketch import drawn
 
 DOTS = ("Small dots are residuals, large ones means of as many of them each with their 95 % interval. Without it: the best that calibration can do "
         "alone, which swallows part of it.")
@@ -94,7 +97,15 @@ def _finding(finding: FindingEntry, view: View) -> list[str]:
     parts += [paragraph(sure)] if sure else []
     parts += [paragraph(words.sentence(finding.unusual))] if finding.unusual else []
     parts += [paragraph(f"What to do: {finding.action}")] if finding.action else []
-    return parts + _alternatives(finding)
+    return parts + _alternatives(finding) + _sketched(finding.effect)
+
+
+def _sketched(name: str) -> list[str]:
+    """What an effect of the catalogue does, as the catalogue shows it; nothing of one that is not in it."""
+    if name not in BY_NAME:
+        return []
+    sketch, said = drawn(BY_NAME[name]), f"What {BY_NAME[name].label()} does"
+    return [folded(said, paragraph(f"As the catalogue of effects shows it: {sketch.words}."), panels(*sketch.figures))]
 
 
 def _slight(finding: FindingEntry) -> list[str]:
