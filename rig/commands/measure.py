@@ -101,9 +101,11 @@ def _stages(out: Path, measured: Measurement, total: int) -> None:
 
     for stage, own in measured.stages.items():
         writing.write_poses(out / f"poses_stage{stage}.csv", Poses(own.frames, own.T_base_platform, own.covariance))
-        position, rotation = uncertainty(own.covariance) if len(own.frames) else (float("nan"), float("nan"))
-        print(f"stage {stage}: {len(own.frames)} of {total} frames solved, poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad: "
-              f"poses_stage{stage}.csv")
+        worth = ""
+        if len(own.frames):
+            position, rotation = uncertainty(own.covariance)
+            worth = f", poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad"
+        print(f"stage {stage}: {len(own.frames)} of {total} frames solved{worth}: poses_stage{stage}.csv")
 
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:

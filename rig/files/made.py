@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from hashlib import sha256
 from pathlib import Path
 
@@ -10,8 +11,13 @@ from rig.errors import FileError
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
-RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "machine.json",
+RECORDED = ("rig.toml", "commands.csv", "frames.csv", "sensors.csv", "corners.csv", "poses.csv", "poses_stage*.csv", "machine.json",
             "diagnosis.json", "images")  # what a folder is read from, so that what is left of one mixes with another
+
+
+def is_recorded(name: str) -> bool:
+    """Whether a folder is read from a file of that name."""
+    return any(fnmatchcase(name, pattern) for pattern in RECORDED)
 
 
 @dataclass(frozen=True, slots=True)

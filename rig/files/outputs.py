@@ -7,7 +7,7 @@ from typing import Any
 
 from rig import remote
 from rig.errors import FileError, RigError
-from rig.files.made import MANIFEST, RECORDED, Made, Origin, load
+from rig.files.made import MANIFEST, Made, Origin, is_recorded, load
 from rig.files.staged import GROWING, Staged, folder_lock, sweep
 from rig.files.whole import is_straight, status, write_text
 
@@ -101,7 +101,7 @@ class Outputs:
         place = Path(os.path.realpath(path))
         if not place.parent.is_dir() and place.parent not in self._staged:
             raise RigError(f"{path.parent} is no folder; make it first")
-        if place.name in RECORDED and any(place.parent == Path(os.path.realpath(given)) for given in self.inputs):
+        if is_recorded(place.name) and any(place.parent == Path(os.path.realpath(given)) for given in self.inputs):
             raise RigError(f"{path} is a file of the recording, which stays as it was; name another")
         staged = self._beside(place.parent, path)
         if place.exists() and not self.force and not own and not staged.known.untouched(place.parent, place.name, self.command):
@@ -172,7 +172,7 @@ class Outputs:
         mine = {name: entry for name, entry in known.files.items() if entry.command == self.command}
         changed = [name for name in mine if (path / name).exists() and not known.untouched(path, name, self.command)]
         roots = {name.split("/")[0] for name in mine}
-        changed += [name for name in inside if name in RECORDED and name not in roots and name not in known.files]
+        changed += [name for name in inside if is_recorded(name) and name not in roots and name not in known.files]
         if changed:
             raise FileError(path / changed[0], f"was changed or added since `rig {self.command}` wrote the folder"
                             f"{f', and {len(changed) - 1} more' if len(changed) > 1 else ''}; name another folder, or write over it with --force")

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.errors import FileError, RigError
-from rig.files.made import MANIFEST, RECORDED, Entry, Made, Origin, digest, load
+from rig.files.made import MANIFEST, Entry, Made, Origin, digest, is_recorded, load
 from rig.files.whole import status, sync, write_text
 
 NEW = ".rig-new-"
@@ -106,8 +106,9 @@ class Staged:
             return []
         stale = [name for name, entry in known.files.items() if entry.command == self.command and name not in new]
         for folder in {Path(name).parent for name in new} | {Path(".")}:
-            for name in RECORDED if "images" not in folder.parts else ():
-                stale += [str(path.relative_to(self.place)) for path in _files(self.place / folder / name)]
+            place = self.place / folder
+            for name in filter(is_recorded, os.listdir(place) if "images" not in folder.parts and place.is_dir() else ()):
+                stale += [str(path.relative_to(self.place)) for path in _files(place / name)]
         return sorted({name for name in stale if name not in new and os.path.lexists(self.place / name)})
 
     def _refuse(self, known: Made, new: list[str], stale: list[str], inputs: list[Path], force: bool) -> None:

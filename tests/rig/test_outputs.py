@@ -47,6 +47,7 @@ def test_a_folder_is_replaced_whole(tmp_path):
 @pytest.mark.parametrize("spoil, says", [
     (lambda out: (out / "rig.toml").write_text("edited"), "rig.toml: was changed or added since"),
     (lambda out: (out / "sensors.csv").write_text("added"), "sensors.csv: was changed or added since"),
+    (lambda out: (out / "poses_stage1.csv").write_text("added"), "poses_stage1.csv: was changed or added since"),
     (lambda out: (out / MANIFEST).unlink(), "did not make what is in it"),
 ])
 def test_what_somebody_else_did_to_a_folder_is_kept_unless_forced(spoil, says, tmp_path):
