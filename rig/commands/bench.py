@@ -19,7 +19,8 @@ from rig.files import write_bytes
 from rig.operate import Bench
 from rig.sensing import Sensing
 from rig.way import Way, trapezoid
-from vision.corners.detect import grey, search
+from vision.corners.detect import grey
+from vision.corners.read import search
 from vision.targets import MarkerMap, marker_map
 
 START = 0.01  # s that the first exposure takes where it is looked for

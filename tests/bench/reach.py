@@ -107,7 +107,8 @@ def _rendered(design, rng):
 
 def _score(pictures, markers):
     """{kind: px, RMS per axis of corners fitted with a spread learnt from the pictures themselves}."""
-    from vision.corners.detect import Read, grey, place
+    from vision.corners.detect import grey, place
+    from vision.corners.read import Read
     from vision.corners.spread import PLAIN, empty_profile, learn
     from vision.reading.collect import ROUNDS
 

@@ -14,7 +14,8 @@ from rig.pose import pose
 from synthetic import render, scene
 from synthetic.sensor import expose
 from tests.synthetic.edges import edge_corners
-from vision.corners.detect import Read, place
+from vision.corners.detect import place
+from vision.corners.read import Read
 from vision.predict import State, facing, see
 from vision.targets import marker_map
 

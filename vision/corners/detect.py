@@ -1,8 +1,7 @@
-"""Image -> marker corners with covariance: OpenCV finds and reads the markers, the fit of the whole square places them."""
+"""Image -> marker corners with covariance: markers that are read, or expected, are placed by the fit of the whole square."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Literal, NamedTuple, overload
@@ -13,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera
 from vision.corners import edges, gauss_newton, local_lens, sides, square
+from vision.corners.read import LeftOut, Read, search
 from vision.corners.spread import LEVELS, NO_PROFILE, PLAIN, Spread
 from vision.predict import expected
 from vision.targets import MarkerMap, marker_cells
@@ -36,25 +36,6 @@ _UNREAD = "its bits are not to be read where it is expected"
 _REASONS = {gauss_newton.NO_PIXELS: "too few pixels", gauss_newton.SINGULAR: "its corners are not determined",
             gauss_newton.WANDERED: "the fit turned over", gauss_newton.NO_CONTRAST: "white is no brighter than black",
             gauss_newton.UNSETTLED: "the fit did not settle", gauss_newton.NOT_READ: _UNREAD}
-
-
-class LeftOut(NamedTuple):
-    """A marker that was read and not placed. marker : identity; reason : in words; repeated : whether it is that one image shows it twice."""
-
-    marker: int
-    reason: str
-    repeated: bool = False
-
-
-class Read(NamedTuple):
-    """Markers whose corners are known to a pixel or so: as a reader saw them, or where they are expected.
-
-    marker : (m,) identities; corners : (m, 4, 2) px; left_out : those that are not to be placed
-    """
-
-    marker: np.ndarray
-    corners: np.ndarray
-    left_out: Sequence[LeftOut] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,18 +94,12 @@ def grey(image: np.ndarray, reader: bool = True) -> tuple[np.ndarray | None, np.
 
 
 @lru_cache
-def dictionary_reader(name: str, only: tuple[int, ...] = ()) -> cv2.aruco.ArucoDetector:
-    """cv2.aruco.ArucoDetector of a dictionary (OpenCV name), corners as they are read.
-
-    only : identities that are read, numbered in this order, or () for all; each that there is takes time at every place that may show one
-    """
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    if only:
-        dictionary = cv2.aruco.Dictionary(dictionary.bytesList[list(only)], dictionary.markerSize, dictionary.maxCorrectionBits)
+def dictionary_reader(name: str) -> cv2.aruco.ArucoDetector:
+    """cv2.aruco.ArucoDetector of all of a dictionary (OpenCV name), corners as they are read."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.perspectiveRemovePixelPerCell = 8
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(dictionary, parameters)
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters)
 
 
 def detect(image: np.ndarray, camera: Camera, marker_map: MarkerMap, spread: Spread = PLAIN, T_base_platform: RigidTransform | None = None,
@@ -159,21 +134,6 @@ def _others(image: np.ndarray, marker_map: MarkerMap, rows: np.ndarray, places: 
         if ids is not None and any(np.linalg.norm(other[0].mean(axis=0) - middle) < side / 2 for other in quads):
             return True
     return False
-
-
-def search(eight: np.ndarray, marker_map: MarkerMap) -> Read:
-    """Read from an image (height, width) uint8; a marker that is seen twice is left out."""
-    found: dict[int, list[np.ndarray]] = {}
-    left_out = []
-    for name in dict.fromkeys(marker_map.dictionary):
-        own = tuple(number for number, other in zip(marker_map.id.tolist(), marker_map.dictionary) if other == name)
-        corners, seen, _ = dictionary_reader(name, own).detectMarkers(eight)
-        for k, quad in zip([] if seen is None else seen.ravel().astype(int).tolist(), corners):
-            found.setdefault(own[k], []).append(quad)
-    for number in [number for number, quads in found.items() if len(quads) > 1]:
-        left_out.append(LeftOut(number, f"seen {len(found.pop(number))} times in one image", True))
-    numbers = sorted(found)
-    return Read(np.array(numbers, int), np.array([found[k][0] for k in numbers], float).reshape(-1, 4, 2), left_out)
 
 
 def place(full: np.ndarray, camera: Camera, marker_map: MarkerMap, read: Read, spread: Spread = PLAIN, reach: float = REACH, verify: bool = False,

@@ -14,7 +14,8 @@ from rig.design import Camera
 from rig.exposures import read_image
 from rig.recording import Corners, Recording
 from vision.corners import local_lens
-from vision.corners.detect import Detection, Read, grey, place
+from vision.corners.detect import Detection, grey, place
+from vision.corners.read import Read
 from vision.corners.spread import PLAIN
 from vision.reading.collect import Collected, by_image, corners_of
 from vision.reading.shared import shared_out

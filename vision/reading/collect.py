@@ -13,7 +13,8 @@ from rig.design import Camera, Design
 from rig.errors import FileError
 from rig.exposures import read_image, refused, undecodable
 from rig.recording import Corners, Recording
-from vision.corners.detect import Detection, Read, detect, grey, place, search
+from vision.corners.detect import Detection, detect, grey, place
+from vision.corners.read import Read, search
 from vision.corners.spread import PLAIN, Spread, empty_profile, learn
 from vision.measure import Measurement
 from vision.observations import correlation_of

@@ -10,7 +10,8 @@ from rig.design import DICTIONARIES, Marker, Target
 from rig.pose import pose
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
-from vision.corners.detect import Read, detect, place
+from vision.corners.detect import detect, place
+from vision.corners.read import Read
 from vision.predict import expected
 from vision.targets import marker_map
 
@@ -108,7 +109,7 @@ def test_where_a_pose_is_expected_only_its_places_are_read(design, monkeypatch):
     here = pose([0, 0, 0], [0, 0, 0])
     view, markers, corners, image = cube_scene(design, here)
     whole = detect(image, view, markers)
-    monkeypatch.setattr("vision.corners.detect.dictionary_reader", lambda name: pytest.fail("the whole image was searched"))
+    monkeypatch.setattr("vision.corners.detect.search", lambda *_: pytest.fail("the whole image was searched"))
     for offset in ([0, 0, 0], [0.003, -0.003, 0]):  # 3 px
         found = detect(image, view, markers, T_base_platform=pose(offset, [0, 0, 0]))
         assert found.marker.tolist() == [3]

@@ -6,8 +6,9 @@ from scipy.special import ndtr
 
 from tests.vision.corners.sheet import NAME, sheet
 from tests.vision.pictures import SIZE, camera, picture, quad
-from vision.corners.detect import Read, place
+from vision.corners.detect import place
 from vision.corners.pattern import GRID
+from vision.corners.read import Read
 from vision.corners.spread import PLAIN, WIDTHS, empty_profile, learn
 
 
