@@ -1,5 +1,6 @@
 """Two rig.toml of one rig held against each other: what one states otherwise than the other, by name and size."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -11,13 +12,13 @@ from rig.design import Camera, Design
 
 SAME = 1e-9  # m, rad, or the figure's own unit; less is how a number was written
 STATED = ("gravity", "mechanism", "instrument", "actuator", "platform", "targets", "insitu")  # what one machine has once
-FREE = ("actuator.max_speed",)  # what an owner may set otherwise from day to day
+FREE = re.compile(r"actuator\.max_speed|targets \d+\.turned")  # what an owner may set otherwise from day to day
 PAYLOAD = "a payload is no part of the platform: log it as payload_mass_kg in sensors.csv"
 
 
 def contradictions(a: Design, b: Design) -> list[str]:
     """What two Designs state of the machine itself that cannot both be true, in words; cameras may be moved, and are not asked for."""
-    found = [text for name in STATED for where, text in _differences(getattr(a, name), getattr(b, name), name) if where not in FREE]
+    found = [text for name in STATED for where, text in _differences(getattr(a, name), getattr(b, name), name) if not FREE.fullmatch(where)]
     return [*found, PAYLOAD] if any(text.startswith("platform.mass") for text in found) else found
 
 

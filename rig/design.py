@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig.controller import Controller
 from rig.errors import RigError
@@ -13,7 +13,8 @@ from rig.geometry import Arm, Chain, Free, Hexapod, Planar2, freeze
 
 DISTORTION_TERMS = (4, 5, 8, 12, 14)
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
-PERMITTED = ("payload", "wait")  # what an owner may allow experiments
+PERMITTED = ("payload", "wait")  # what an owner may allow experiments, besides TURN and the name of a cube
+TURN = "turn cube "  # before the name of a cube that may be taken off and put back turned
 SOURCES = ("uvc", "gstreamer", "genicam", "folder", "emulator")  # kinds of cameras that a run can open
 DICTIONARIES = {  # how many identities each dictionary of OpenCV holds
     **{f"DICT_{bits}X{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
@@ -75,9 +76,14 @@ class SensorPort:
 @dataclass(frozen=True, slots=True)
 class Permission:
     """What an owner allows experiments besides moving. may : "payload" (to be asked to load the platform), "wait" (to wait while temperatures
-    change)"""
+    change), "turn cube NAME" (to be asked to take that cube off and to put it back turned)"""
 
     may: tuple[str, ...] = ()
+
+    @property
+    def cubes(self) -> tuple[str, ...]:
+        """Names of the cubes that may be turned."""
+        return tuple(word.removeprefix(TURN) for word in self.may if word.startswith(TURN))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +171,9 @@ class Target:
     name : its own; body : what it is fixed to, of a chain also what a stage below the last moves, as "stage 1"; dictionary : OpenCV's name of
     the markers'; edge : m, of the cube; marker : m, outer side of the black border; faces : pairs of face and id; pose : T_body_cube, of the
     cube's centre; listed : the markers of one that is no cube
+    turned : quarter turns about the cube's own z, right-handed, with which it was taken off and put back since its pose was stated: its place is
+    that only to what remounting may do; None for a target that was never taken off
+    shift : added to its identities where it is one of several recordings together (see rig.together): the same prints are another target there
     """
 
     name: str
@@ -175,6 +184,17 @@ class Target:
     faces: tuple[tuple[str, int], ...] = ()
     pose: RigidTransform | None = None
     listed: tuple[Marker, ...] = ()
+    turned: int | None = None
+    shift: int = 0
+
+    @property
+    def seat(self) -> RigidTransform:
+        """T_body_cube as it stands now, turned about its own z. Raises ValueError for a target that is no cube."""
+        if self.pose is None:
+            raise ValueError(f"target {self.name!r} is no cube, and has no seat")
+        if not self.turned:
+            return self.pose
+        return self.pose * RigidTransform.from_rotation(Rotation.from_rotvec([0.0, 0.0, np.pi / 2 * self.turned]))
 
     @property
     def stage(self) -> int:
@@ -184,7 +204,7 @@ class Target:
     @property
     def ids(self) -> tuple[int, ...]:
         """Identities of all its markers."""
-        return tuple(number for _, number in self.faces) + tuple(marker.id for marker in self.listed)
+        return tuple(number + self.shift for _, number in self.faces) + tuple(marker.id + self.shift for marker in self.listed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import arm_entries, camera_entries
+from rig import arm_entries, camera_entries, cube_entries
 from rig.controller import PROTOCOLS, Controller
-from rig.design import (DICTIONARIES, FACES, PERMITTED, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
-                        Permission, Planar2, Platform, Sensor, SensorPort, Target)
+from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
+                        Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.instrument_entries import instrument
@@ -58,11 +58,12 @@ def design_of(root: Entries) -> Design:
     """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
     root.text("schema", (SCHEMA,))
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
-                          "insitu", "controller", "sensors", "dynamics", "experiment"))
+                          "insitu", "controller", "sensors", "dynamics", "experiment", "turned"))
     environment = root.table("environment", optional=True)
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
+    targets = cube_entries.turned(root.table("turned", optional=True), targets)
     camera_entries.check_in_hand(root, cameras, targets, mechanism)
     camera_entries.check_of_stages(root, cameras, targets)
     return Design(
@@ -73,7 +74,7 @@ def design_of(root: Entries) -> Design:
         insitu=_limbs(root.table("insitu")) if "insitu" in root.tree else None,
         controller=_controller(root.table("controller"), mechanism, actuator) if "controller" in root.tree else None,
         sensors=_sensors(root.table("sensors")) if "sensors" in root.tree else None,
-        experiment=_permission(root.table("experiment", optional=True)))
+        experiment=cube_entries.permission(root.table("experiment", optional=True), targets))
 
 
 def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
@@ -157,14 +158,6 @@ def _sensors(table: Entries) -> SensorPort:
             len(set(channels)) != len(channels) or "t" in channels):
         table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
     return SensorPort(table.text("port"), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
-
-
-def _permission(table: Entries) -> Permission:
-    table.refuse_misspelt(("may",))
-    may = table.get("may", [])
-    if not isinstance(may, list) or not all(word in PERMITTED for word in may):
-        table.fail(f"{table.name('may')} must list what experiments may do, of {', '.join(map(repr, PERMITTED))}, not {may!r}", "may", value=may)
-    return Permission(tuple(may))
 
 
 def _platform(table: Entries) -> Platform:

@@ -12,23 +12,20 @@ import numpy as np
 
 from rig import mechanisms, table
 from rig.configurations import FILL, along_and_about, combined, division, grid, iso9283, low_discrepancy, parts, scaled, simplices
+from rig.cubes import cube_named
 from rig.design import Design
 from rig.errors import FileError, RigError
-from rig.origin import Origin, decimal
 from rig.outside import shown
+from rig.plan_table import MOST, in_time, within
 from rig.plan_writer import STEP, Plan, Writer
-from rig.recording import PAYLOAD, Commands, Sensors
-from rig.writing import write_table
+from rig.recording import PAYLOAD, Sensors
 
 SPEED = 0.5  # of the actuator's top speed
 UNSTATED_SPEED = {"m": 0.02, "rad": 0.5}  # m/s or rad/s where the design states none
 EXPOSE_EVERY = 0.25  # s while moving
 TURNED = (0.004, 0.008, 0.016, 0.032, 0.064)  # s after a reversal
-MOST = 20_000  # exposures of a plan
-DIGITS = 4  # of a time in a plan's table
 LONG = 600.0  # s of a dwell that is watched
 LONGEST = 600  # min that a plan may wait at once
-ROWS = 5  # of a table in time for each exposure: leave, turn, arrive, hold
 BELOW = 0.05  # of the stroke, from which a one-sided plan comes up to every configuration
 STANDARD = "moving:30,sobol:120,ladder,zigzag:30,payload:20,sobol:100,moving:30"
 
@@ -49,14 +46,15 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
     configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits}, besides these
 
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
-    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES
+    payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all others: the cube is taken off and
+    put back turned by a quarter turn from where its pose is stated)
     and commands:FILE (a table frame,l1..l6 as `rig correct` writes it; one with a column t is a plan by itself, in its own time)
     Raises RigError for a part that is not known.
     """
     if not design.mechanism.axes:
         raise RigError(f"a mechanism of kind {design.mechanism.kind!r} cannot be planned for: there is nothing to command")
     if text.startswith("commands:") and "," not in text:
-        found = _in_time(design, text.removeprefix("commands:"))
+        found = in_time(design, text.removeprefix("commands:"))
         if found is not None:
             return found
     strokes = strokes_of(design)
@@ -193,6 +191,16 @@ def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator
         writer.settle(goals[k % 3])
 
 
+def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -> None:
+    """A cube put back turned by a quarter turn before the plan begins. Raises RigError for a cube that there is not, or a plan that has begun."""
+    name, problem = cube_named(cube, design.targets)
+    if problem:
+        raise RigError(f"a plan cannot turn it: {problem}")
+    if writer.exposures:
+        raise RigError(f"cube {name} is turned before a plan begins: turn:{name} stands before what is exposed")
+    writer.turned[name] = 1
+
+
 def _iso9283(writer: Writer, design: Design, cycles: int, rng: np.random.Generator) -> None:
     """ISO 9283's five poses, one after the other and that thirty times: accuracy and repeatability of poses."""
     poses = iso9283(design)
@@ -205,38 +213,8 @@ def _commands(writer: Writer, design: Design, file: str, rng: np.random.Generato
     rows = table.read(Path(file), ("frame", *design.mechanism.axes))
     if "t" in rows.columns:
         raise FileError(file, "is in time (it has a column t), so it is a plan by itself and no part of one")
-    for goal in _within(rows, design):
+    for goal in within(rows, design):
         writer.settle(goal)
-
-
-def _in_time(design: Design, file: str) -> Plan | None:
-    """Plan of a table frame,t,l1..l6 as it stands, exposed at the rows that have a frame, with the payload of each row where it has a column of
-    it; None for a table without times."""
-    rows = table.read(Path(file), ("frame", *design.mechanism.axes), (PAYLOAD,))
-    if "t" not in rows.columns:
-        return None
-    rows.times("t", Origin())  # which checks them
-    origin = Origin(decimal(rows.text("t")[0]))
-    t, exposed = rows.times("t", origin), np.array([bool(cell) for cell in rows.text("frame")])
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if len(back):
-        rows.fail("time must increase from row to row", back[0] + 1, "t")
-    if not exposed.any():
-        raise FileError(file, "has no row with a frame, so that nothing is exposed")
-    mass = rows.numbers(PAYLOAD) if PAYLOAD in rows.columns else np.zeros(len(t))
-    steps = [(0.0, float(mass[0])), *((float(t[k]), float(mass[k])) for k in np.flatnonzero(np.diff(mass)) + 1)]
-    return Plan(Commands(t, _within(rows, design)), t[exposed], np.array(steps), origin)
-
-
-def _within(rows: table.Table, design: Design) -> np.ndarray:
-    """(n, axes) m or rad that a table commands, all within the axes' range."""
-    values = rows.matrix(design.mechanism.axes)
-    if len(rows) > MOST * ROWS:
-        raise FileError(rows.path, f"has {len(rows)} rows; a plan exposes at most {MOST} times")
-    beyond = mechanisms.of(design.mechanism).limits(values, design.mechanism)
-    for i in np.flatnonzero(beyond.any(axis=1)):
-        rows.fail(f"{mechanisms.places(design.mechanism)[np.flatnonzero(beyond[i])[0]]} is commanded out of its range", i)
-    return values
 
 
 def _division(writer: Writer, design: Design, text: str, rng: np.random.Generator) -> None:
@@ -255,25 +233,15 @@ PARTS: dict[str, Callable[..., None]] = {
     "axes": _visit(lambda design, count, rng: along_and_about(design, count or 9)),
     "combined": _visit(lambda design, count, rng: combined(design, count or 6)),
     "ladder": _ladder, "payload": _payload, "moving": _moving, "zigzag": _zigzag, "warmup": _warmup, "repeat": _repeat, "dwell": _dwell,
-    "wait": _wait, "commands": _commands,
+    "wait": _wait, "turn": _turn, "commands": _commands,
     "division": _division, "iso9283": _iso9283,
 }
-TEXTS = ("commands", "division")  # parts that take more than a number
+TEXTS = ("commands", "division", "turn")  # parts that take more than a number
 
 
 def strokes_of(design: Design) -> np.ndarray:
     """(axes, 2) m or rad between which the axes of a design may be commanded."""
     return mechanisms.of(design.mechanism).travel(design.mechanism)
-
-
-def write(path: Path, plan: Plan, axes: tuple[str, ...]) -> None:
-    """Write a Plan as a table in time, which `build` reads as commands:FILE. axes : names of their columns, which stand last"""
-    loaded, exposed = np.round(plan.payload[:, 0], DIGITS), np.round(plan.t, DIGITS)
-    t = np.union1d(np.round(plan.commands.t, DIGITS), np.r_[exposed, loaded])
-    mass = plan.payload[np.searchsorted(loaded, t, side="right") - 1, 1]
-    frames = {time: str(k) for k, time in enumerate(exposed.tolist())}
-    write_table(path, ("frame", "t", PAYLOAD, *axes), [",".join([frames.get(time, ""), f"{time:.4f}", f"{m:.6g}", *(f"{v:.7f}" for v in row)])
-                                                       for time, m, row in zip(t.tolist(), mass.tolist(), plan.commands.at(t))])
 
 
 def speed_of(design: Design) -> np.ndarray:

@@ -16,12 +16,14 @@ FIRST = 0.5  # s from a move's end to the first exposure of a long dwell
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """commands : Commands; t : (frames,) s, the exposures; payload : (k, 2) s and kg, steps of what the platform carries
-    origin : by which its times are written down"""
+    origin : by which its times are written down
+    turned : (cube, quarter turns) of cubes that are put back so before it begins; others stand as they stood"""
 
     commands: Commands
     t: np.ndarray
     payload: np.ndarray
     origin: Origin = Origin()
+    turned: tuple[tuple[str, int], ...] = ()
 
 
 class Writer:
@@ -30,6 +32,7 @@ class Writer:
     def __init__(self, start: np.ndarray, speed: float | np.ndarray, below: float | np.ndarray = 0.0) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
         self.exposures: list[float] = []
+        self.turned: dict[str, int] = {}
         self.speed, self.below = speed, below
 
     def go(self, goal: np.ndarray) -> None:
@@ -61,4 +64,5 @@ class Writer:
     def plan(self) -> Plan:
         """What was written so far, exposures in order of time."""
         order = np.argsort(self.exposures)
-        return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.round(self.payload, 4))
+        return Plan(Commands(np.round(self.t, 4), np.round(self.values, 7)), np.round(np.array(self.exposures)[order], 4), np.round(self.payload, 4),
+                    turned=tuple(self.turned.items()))

@@ -1,4 +1,4 @@
-"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved as cameras of their own.
+"""Several recordings of one rig -> one Recording: one machine, one timeline, cameras that moved and cubes put back as ones of their own.
 
 What the machine is stays shared. Each recording keeps its own poses, its log and its own beginning: effects that remember (a play's side, a
 lag, how long it has been warm, how far a clock has run) know nothing of the recording before.
@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig import remote
 from rig.agreement import contradictions, same_lens
-from rig.design import Camera
+from rig.design import Camera, Design, Target
 from rig.errors import RigError
 from rig.exposures import Exposures
 from rig.observed import Corners, Poses
@@ -20,7 +20,7 @@ from rig.recording import PAYLOAD, Commands, Part, Recording, Sensors
 
 GAP = 60.0  # s on the common timeline between the end of a recording and the next one's beginning
 HELD = 30.0  # s of it for which the axes are where the next recording begins
-Owners = tuple[dict[str, int], ...]  # of each recording: {camera: number (from 0) of the recording in which it came to stand there}
+Owners = tuple[dict[str, int], ...]  # of each recording: {camera, or target: number (from 0) of the recording in which it came to stand there}
 
 
 def refuse_strangers(recordings: Sequence[Recording]) -> None:
@@ -59,7 +59,7 @@ def _is(recording: Recording, camera: Camera, owners: dict[str, int], number: in
 def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
     """One Recording of several, whose `parts` they are.
 
-    Frames of the k-th (from 0) count on from k times a power of ten, its cameras with a place of their own are called "NAME@k+1"
+    Frames of the k-th (from 0) count on from k times a power of ten, its cameras and cubes with a place of their own are called "NAME@k+1"
     Raises RigError as `refuse_strangers`
     """
     refuse_strangers(recordings)
@@ -74,10 +74,11 @@ def joined(recordings: Sequence[Recording], owners: Owners) -> Recording:
         for camera in recording.design.cameras:
             name = called(camera.name, own)
             cameras.setdefault(name, replace(camera, name=name))
-    design = replace(first.design, cameras=tuple(cameras.values()))
+    seats = seated([recording.design for recording in recordings])
+    design = replace(first.design, cameras=tuple(cameras.values()), targets=_targets(recordings, seats))
     skipped = tuple(one for r in recordings for one in r.skipped)
     return replace(first, design=design, commands=_commands(parts), exposures=_exposures(parts, owners), sensors=_sensors(parts),
-                   corners=_corners(parts, owners), poses=_poses(parts, None), skipped=skipped, parts=tuple(parts),
+                   corners=_corners(parts, owners, seats), poses=_poses(parts, None), skipped=skipped, parts=tuple(parts),
                    stages={k: poses for k in first.stages if (poses := _poses(parts, k)) is not None})
 
 
@@ -129,15 +130,53 @@ def _exposures(parts: Sequence[Part], owners: Owners) -> Exposures:
                      [str(remote.absolute(part.recording.folder) / name) if name else "" for part, e in seen for name in e.image])
 
 
-def _corners(parts: Sequence[Part], owners: Owners) -> Corners | None:
+def seated(designs: Sequence[Design]) -> Owners:
+    """Of each recording {target: number (from 0) of the recording in which it was put where it stands}: a cube that stands otherwise turned than
+    in the recording before was taken off and put back between them; one that no rig.toml says was taken off stands where it stood."""
+    out: list[dict[str, int]] = []
+    for k, design in enumerate(designs):
+        own = {}
+        for target in design.targets:
+            before = None if not k else next(t.turned for t in designs[k - 1].targets if t.name == target.name)
+            own[target.name] = 0 if target.turned is None or not k else out[-1][target.name] if target.turned == before else k
+        out.append(own)
+    return tuple(out)
+
+
+def _targets(recordings: Sequence[Recording], seats: Owners) -> tuple[Target, ...]:
+    """The targets of all, a cube that was put back as another whose identities are shifted."""
+    step, out = _shift(recordings), dict[str, Target]()
+    for recording, own in zip(recordings, seats):
+        for target in recording.design.targets:
+            name = called(target.name, own)
+            out.setdefault(name, replace(target, name=name, shift=step * own[target.name]))
+    return tuple(out.values())
+
+
+def _shift(recordings: Sequence[Recording]) -> int:
+    """A power of ten above all identities."""
+    return 10 ** len(str(max((i for target in recordings[0].design.targets for i in target.ids), default=0)))
+
+
+def _corners(parts: Sequence[Part], owners: Owners, seats: Owners) -> Corners | None:
     found = [(part, part.recording.corners, own) for part, own in zip(parts, owners)]
     seen = [(part, c, own) for part, c, own in found if c is not None]
     if len(seen) < len(found):
         return None
     covariance = [c.covariance for _, c, _ in seen if c.covariance is not None]
     return Corners(np.concatenate([part.frames + c.frame for part, c, _ in seen]), [called(name, own) for _, c, own in seen for name in c.camera],
-                   np.concatenate([c.marker for _, c, _ in seen]), np.concatenate([c.corner for _, c, _ in seen]),
+                   np.concatenate([_keys(c.marker, part, seat, parts) for (part, c, _), seat in zip(seen, seats)]),
+                   np.concatenate([c.corner for _, c, _ in seen]),
                    np.concatenate([c.uv for _, c, _ in seen]), np.concatenate(covariance) if len(covariance) == len(seen) else None)
+
+
+def _keys(markers: np.ndarray, part: Part, seat: dict[str, int], parts: Sequence[Part]) -> np.ndarray:
+    """(n,) of identities (n,), shifted where their cube was put back in a later recording than the first."""
+    step, out = _shift([p.recording for p in parts]), markers.copy()
+    for target in part.recording.design.targets:
+        if seat[target.name]:
+            out[np.isin(markers, target.ids)] += step * seat[target.name]
+    return out
 
 
 def _poses(parts: Sequence[Part], stage: int | None) -> Poses | None:

@@ -28,4 +28,5 @@ PLACES = Tolerance(2e-5, "m", "a printed marker's place on its face may be off: 
 FINDER = Tolerance(0.02, "px", "the corner finder may shift all edges of a camera's images: its blur is a model, and light spills")
 STILL = Tolerance(0.005, "px", "the corner finder may be off in the same way wherever a marker looks the same")
 THERMOMETER = Tolerance(0.1, "K", "a thermometer may drift: 0.1 K is what one glued on, in air, is good for")
+SEAT = (5e-4, 5e-3)  # m, rad; standard deviations by which a cube that is taken off a socket and put back may sit off
 STEEL = 1.2e-5  # 1/K; expansion of a strut, by which a thermometer's error becomes a length

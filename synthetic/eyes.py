@@ -15,6 +15,7 @@ from rig.pose import transform_points
 from rig.recording import Commands, Sensors
 from synthetic import world as worlds
 from synthetic.pictures import Images, picture
+from synthetic.remounted import remounted
 from synthetic.simulation import Simulation
 from synthetic.world import World
 
@@ -37,7 +38,7 @@ class Eyes:
 
     def __init__(self, world: World, images: Images, seed: int, told: Told, clock: Clock) -> None:
         self._clock = clock
-        self.world, self._images, self._seed, self._told, self._count = world, images, seed, told, 0
+        self.world, self._images, self._seed, self._told, self._count = remounted(world, {}), images, seed, told, 0
         self._temperatures = Temperatures(*worlds.temperatures(LONGEST, np.random.default_rng(seed), len(world.true.mechanism.axes)))
         self._start: float | None = None
 

@@ -182,7 +182,7 @@ def _struts(stands: Standing) -> list[Part]:
 def _blank_faces(target: Target) -> list[Part]:
     """The faces of a cube that carry no marker."""
     taken = dict(target.faces)
-    return [_quad(target.body, target.pose * face_pose(face, target.edge), target.edge / 2, WHITE)
+    return [_quad(target.body, target.seat * face_pose(face, target.edge), target.edge / 2, WHITE)
             for face in FACES if target.edge is not None and face not in taken]
 
 

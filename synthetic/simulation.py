@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from rig import machine
+from rig.cubes import text_with, turned
 from rig.design import Camera, Design, Instrument, MeasuringLimbs
 from rig.files import write_text
 from rig.kinds import axes_of
@@ -21,6 +22,7 @@ from rig.recording import LIMB, Corners, Sensors
 from rig.writing import write_corners, write_table
 from synthetic import world as worlds
 from synthetic.occlusion import hidden
+from synthetic.remounted import remounted
 from vision.predict import Sightings, State, facing, inside, see
 from vision.targets import MarkerMap, marker_map
 
@@ -59,10 +61,11 @@ def moved(run: machine.Run) -> list[RigidTransform]:
 
 
 def simulate(world: worlds.World, plan: Plan, rng: np.random.Generator, given: Sensors | None = None) -> Simulation:
-    """Simulation of a world under a plan: the temperatures are drawn, the machine run. Raises what `machine.run` raises.
+    """Simulation of a world under a plan: cubes put back, temperatures drawn, the machine run. Raises what `machine.run` raises.
 
     given : Sensors as they truly are and as they are logged, in place of drawn temperatures and the plan's payload, or None
     """
+    world = remounted(world, dict(plan.turned))
     if given is None:
         true, log = worlds.temperatures(plan.commands.t[-1], rng, worlds.struts_of(axes_of(world.true.mechanism)))
         sensors, log = logged(plan, true), logged(plan, log)
@@ -165,7 +168,7 @@ def write(simulation: Simulation, out: Path, text: str, rng: np.random.Generator
     out.mkdir(parents=True, exist_ok=True)
     plan, cameras, axes = simulation.plan, simulation.world.true.cameras, simulation.world.stated.mechanism.axes
     shown = {t: plan.origin.text(round(t, 6)) for t in {*plan.commands.t.tolist(), *plan.t.tolist(), *simulation.log.t.tolist()}}
-    write_text(out / "rig.toml", text)
+    write_text(out / "rig.toml", text_with(text, turned(simulation.world.stated)))
     write_table(out / "commands.csv", ("t", *axes), [f"{shown[t]}," + ",".join(f"{v:.7f}" for v in values)
                                                       for t, values in zip(plan.commands.t, plan.commands.values)])
     write_table(out / "frames.csv", ("frame", "t", "camera", "image"),

@@ -38,6 +38,30 @@ def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
     assert "is of another rig" in capsys.readouterr().err
 
 
+def test_by_hand_it_asks_that_a_cube_is_turned_and_looks_whether_it_was(rig, tmp_path, capsys):
+    words = ["investigate", str(rig), "--by-hand", "--out", str(tmp_path / "out"), "--plan", "turn:P1,sobol:4"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "before it begins: take cube P1 off its socket and put it back turned by a quarter turn" in said and "[turned] P1 = 1" in said
+    assert main(["simulate", str(rig), "--plan", "sobol:4", "--out", str(tmp_path / "out" / "rec1")]) == 0  # by somebody who did not
+    assert main([*words, "--resume"]) == 1
+    assert "is for cubes that stand as [turned] P1 = 1" in capsys.readouterr().err
+
+
+def test_the_driver_moves_nothing_before_a_cube_is_turned(rig, tmp_path, capsys):
+    driven = rig.read_text() + '\n[controller]\nprotocol = "grblhal"\nport = "/dev/null"\n'
+    rig.write_text(driven)
+    assert main(["run", str(rig), "--plan", "turn:P1,sobol:2", "--out", str(tmp_path / "rec"), "--dry-run"]) == 1
+    assert "put it back turned by a quarter turn" in capsys.readouterr().err
+    words = ["investigate", str(rig), "--out", str(tmp_path / "out"), "--plan", "turn:P1,sobol:2"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "to do, before the struts move:" in said and "[turned] P1 = 1, and give the same command with --resume" in said
+    rig.write_text(driven + "[turned]\nP1 = 1\n")
+    assert main([*words, "--resume"]) == 1  # it goes on to the driver, whose port is none
+    assert "rig run ended with" in capsys.readouterr().err
+
+
 def test_what_cannot_be_investigated_is_refused(rig, tmp_path, capsys):
     out = ["--out", str(tmp_path / "out")]
     half = tmp_path / "half"

@@ -16,6 +16,7 @@ from vision.observations import Observations, from_corners
 from vision.reading.anew import ROUNDS, SETTLED, otherwise, placed_anew
 from vision.reading.collect import Collected, collect, image_reader, look_again
 from vision.reading.identity import LOOKED_AT, why_none
+from vision.remounted import put_back, without
 from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
@@ -77,7 +78,11 @@ def _measured(recording: Recording, free: Sequence[str], detect_anew: bool, prog
     def solved(corners: Corners, correlation: np.ndarray | None = None, look: Callable[[Corners], None] | None = None) -> Measurement:
         if look:
             look(corners)
-        return solve(from_corners(corners, frames, design, markers, correlation), design, markers, free, progress, t, places)
+        observed = from_corners(corners, frames, design, markers, correlation)
+        loose = put_back(observed, design, markers)
+        if markers.stage.any():
+            return solve(observed.take(~loose), design, markers, free, progress, t, places)
+        return without(observed, loose, lambda held: solve(held, design, markers, free, progress, t, places))
 
     if recording.corners is not None and not detect_anew:
         return solved(recording.corners, look=look), None

@@ -18,8 +18,9 @@ SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0
 class MarkerMap:
     """All markers of a rig, one row each.
 
-    id : (m,); on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it; stage : (m,) number (from 1) of that stage, 0 for
-    the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
+    id : (m,), as printed; on_platform : (m,) bool, on what moves: the platform, or a stage of a chain below it; stage : (m,) number (from 1) of
+    that stage, 0 for the base's and the platform's own; T_body_marker : RigidTransform (m,); side, margin : (m,) m; dictionary, target : m names
+    shift : (m,) added to an identity where the same print is another row, as that of a cube that was put back turned; 0 for all by default
     corners : (m, 4, 3) m, body frame, corner 0 the marker's own top left, then clockwise; they follow from pose and side
     """
 
@@ -31,16 +32,23 @@ class MarkerMap:
     dictionary: list[str]
     target: list[str]
     stage: np.ndarray
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(1, int))
     corners: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "corners", transform_points(self.T_body_marker, self.side[:, None, None] * SQUARE))
 
-    def rows(self, ids: np.ndarray) -> np.ndarray:
-        """Row of each identity (n,) -> (n,); -1 for one that no target has."""
-        order = np.argsort(self.id)
-        at = np.minimum(np.searchsorted(self.id[order], ids), len(order) - 1)
-        return np.where(self.id[order][at] == ids, order[at], -1)
+    @property
+    def key(self) -> np.ndarray:
+        """(m,) of each row, no two alike: its identity, shifted."""
+        return self.id + self.shift
+
+    def rows(self, keys: np.ndarray) -> np.ndarray:
+        """Row of each key (n,) -> (n,); -1 for one that no target has."""
+        own = self.key
+        order = np.argsort(own)
+        at = np.minimum(np.searchsorted(own[order], keys), len(order) - 1)
+        return np.where(own[order][at] == keys, order[at], -1)
 
 
 def markers(target: Target) -> tuple[Marker, ...]:
@@ -53,7 +61,8 @@ def markers(target: Target) -> tuple[Marker, ...]:
     edge, side = target.edge, target.marker
     if edge is None or side is None:
         raise ValueError(f"expected a target that lists markers or a cube with edge and marker, got {target.name!r} with {edge} and {side}")
-    return tuple(Marker(number, side, target.pose * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
+    seat = target.seat
+    return tuple(Marker(number, side, seat * face_pose(face, edge), (edge - side) / 2) for face, number in target.faces)
 
 
 def face_pose(face: str, edge: float) -> RigidTransform:
@@ -78,7 +87,8 @@ def marker_map(design: Design) -> MarkerMap:
         id=np.array([marker.id for marker, _ in rows]), on_platform=np.array([target.body != "base" for _, target in rows]),
         T_body_marker=RigidTransform.concatenate([marker.pose for marker, _ in rows]), side=np.array([marker.side for marker, _ in rows]),
         margin=np.array([marker.margin for marker, _ in rows]), dictionary=[target.dictionary for _, target in rows],
-        target=[target.name for _, target in rows], stage=np.array([target.stage for _, target in rows]))
+        target=[target.name for _, target in rows], stage=np.array([target.stage for _, target in rows]),
+        shift=np.array([target.shift for _, target in rows]))
 
 
 @cache

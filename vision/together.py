@@ -1,16 +1,18 @@
-"""Several recordings of one rig -> one: each is measured alone first, and a camera that stands elsewhere than before becomes one of its own."""
+"""Several recordings of one rig -> one: each is measured alone first, and a camera that stands elsewhere than before becomes one of its own, as a
+cube does that was taken off and put back."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
+from rig.cubes import WORDS
 from rig.errors import RigError
 from rig.pose import log
 from rig.provenance import flat, marks, shared
 from rig.recording import Recording
-from rig.together import Owners, by_instrument, called, dropped, joined, refuse_strangers, unmoved
+from rig.together import Owners, by_instrument, called, dropped, joined, refuse_strangers, seated, unmoved
 from vision.measure import Measurement
 from vision.recorded import measure_recording
 
@@ -52,6 +54,11 @@ class Together:
             now = called(m.camera, self.owners[m.recording])
             how = "is stated otherwise" if np.isnan(m.distance) else f"stands elsewhere, by {m.distance * 1e3:.3g} mm and {m.angle * 1e3:.3g} mrad"
             out.append(f"camera {m.camera} {how} in {parts[m.recording].recording.name}: it is camera {now} here")
+        for k, seats in enumerate(seated([part.recording.design for part in parts])):
+            for target in parts[k].recording.design.targets:
+                if target.turned is not None and seats[target.name] == k:
+                    out.append(f"cube {target.name} was put back {WORDS[target.turned]} for {parts[k].recording.name}: it is target "
+                               f"{called(target.name, seats)} here, its place its own")
         return out + ([f"not asked, since not all logged them: {', '.join(self.dropped)}"] if self.dropped else [])
 
 
@@ -69,6 +76,8 @@ def together(recordings: Sequence[Recording], progress: Progress | None = None) 
                     for k, r in enumerate(recordings)]
         owners, found = _standing(owners, measured)
         moved += found
+        if any(any(own.values()) for own in seated([r.design for r in recordings])):  # whose prints are read under one identity, and are two targets
+            recordings = [r if r.corners is not None else replace(r, corners=m.corners()) for r, m in zip(recordings, measured)]
     return Together(joined(recordings, owners), owners, tuple(moved), tuple(dropped(recordings)))
 
 

@@ -1,7 +1,7 @@
 """Questions and what an owner allows -> the plan that answers them best per minute, and the chance that it does."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +12,8 @@ from calib.experiment.foretold import foretold
 from calib.experiment.hypotheses import Question
 from calib.experiment.record import SETTING_UP
 from calib.experiment.worth import Worth, worth
-from rig.design import Design
+from rig.cubes import to_do, turned
+from rig.design import Design, Permission
 from rig.errors import RigError
 from rig.plan import Plan, build
 
@@ -21,6 +22,9 @@ CHOSEN = (8, 16, 32, 64)  # configurations where the likeliest names come apart,
 MOVING = ("moving:16", "zigzag:16", "zigzag:40")
 WAITING = ("dwell:20", "sobol:8,wait:20,sobol:8", "sobol:8,wait:60,sobol:8")  # where waiting is allowed
 LOADED = ("payload:6", "payload:14")  # where a payload is allowed
+TURNED = ("sobol:12", "sobol:30", "sobol:90")  # with a cube put back turned, where that is allowed
+TURN = "turn:"  # part of a plan
+TURNING = 3.0  # min that an operator takes for it
 PAIRED = 3  # of the best that are tried two by two
 DAYS = (-1.0, 0.0, 1.0)  # K by which the room may be warmer than it was: nobody heats or cools it for an experiment
 HOPELESS = 0.02  # chance to settle; of plans with less than this counts what they tell per minute
@@ -45,11 +49,13 @@ class Experiment:
         return self.bits / self.minutes
 
 
-def kinds(may: Sequence[str], standing: bool) -> list[str]:
-    """Plans' texts to choose from. may : what an owner allows ("payload", "wait"); standing : whether the struts must stand to be exposed"""
+def kinds(may: Sequence[str], standing: bool, off: Sequence[str] = ()) -> list[str]:
+    """Plans' texts to choose from. may : what an owner allows ("payload", "wait", "turn cube NAME"); standing : whether the struts must stand to be
+    exposed; off : cubes that were turned already"""
     out = [*PARTS, *(f"{NAME}:{count}" for count in CHOSEN), *(() if standing else MOVING)]
     if "wait" in may:
         out += WAITING[1:] if standing else WAITING
+    out += [f"{TURN}{name},{text}" for name in Permission(tuple(may)).cubes if name not in off for text in TURNED]
     return out + [text for text in LOADED if "payload" in may and not standing]
 
 
@@ -85,7 +91,9 @@ def choose(asked: Sequence[Question], design: Design, texts: Sequence[str], seed
             tried(text)
     leading = sorted(out, key=lambda e: -e.rate)[:PAIRED]
     for a, b in combinations(leading, 2):
-        tried(f"{a.text},{b.text}")
+        first, then = (b.text, a.text) if TURN in b.text else (a.text, b.text)  # a cube is turned before all else
+        if TURN not in then:
+            tried(f"{first},{then}")
     return ranked(out), refused
 
 
@@ -106,11 +114,14 @@ def configurations(asked: Sequence[Question], design: Design, texts: Sequence[st
 
 def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, own: Mapping[str, np.ndarray] | None = None) -> Experiment:
     """Experiment of one plan. own : {apart:N: (N, axes)} of `configurations`. Raises RigError for one that the rig cannot follow."""
-    plan = build(design, text, seed, own=own)
+    plan, stands = build(design, text, seed, own=own), turned(design)
+    todo = to_do(dict(plan.turned), stands)
+    plan = replace(plan, turned=tuple({**stands, **dict(plan.turned)}.items()))
     found = [_worth(question, plan) for question in asked]
-    minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP
+    minutes = float(plan.commands.t[-1]) / 60 + SETTING_UP + TURNING * len(todo)
     changes = [(t, mass) for (_, before), (t, mass) in zip(plan.payload[:-1], plan.payload[1:]) if mass != before]
-    asks = tuple(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes)
+    asks = (*(f"before it begins: {text}" for text in todo),
+            *(f"at t = {t:.0f} s: {f'load {mass:.3g} kg' if mass else 'take the load off'}" for t, mass in changes))
     settles = float(np.prod([0.0 if question.unasked else one.settles for question, one in zip(asked, found)]))
     return Experiment(text, seed, plan, minutes, sum(one.bits for one in found), settles, asks)
 

@@ -9,31 +9,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.coordinates import tangents
+from calib.diagnose.problems.platform.corners import seats_of as seats_among
 from calib.diagnose.problems.platform.heldout import change
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
-from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, seats_of
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.schema import UNKNOWN
 from calib.experiment.hypotheses import Hypothesis, Question, beforehand
-from rig import machine, mechanisms
-from rig.design import Design
+from calib.experiment.there import as_found, course, latest, poses, standing, there
+from rig import mechanisms
 from rig.effects.base import Effect
-from rig.errors import RigError
-from rig.observed import Corners
-from rig.plan import Plan, logged
-from rig.pose import exp
-from rig.recording import PAYLOAD, Sensors
-from vision.observations import from_corners
-from vision.predict import State, facing, inside, see
-from vision.targets import marker_map
+from rig.plan import Plan
+from rig.tolerances import SEAT
 
-SEED = 0  # of the noise by which a recording that is not there yet is weighed
-TEMPERATURE = "_temperature_C"  # how channels of temperatures end
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
 
 
@@ -131,10 +123,10 @@ def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.nd
 def _seen(question: Question, plan: Plan, warmer: float = 0.0) -> _Seen:
     named = question.named
     fits = [h.fitted for h in named]
-    point = _latest(fits[0].point)
-    sensors = _course(point, plan, warmer)
-    runs = [_poses(fit, point.design, plan, sensors) for fit in fits]
-    here = _there(point, fits[0], plan, sensors, runs[0])
+    point = standing(latest(fits[0].point), plan)
+    sensors = course(point, plan, warmer)
+    runs = [poses(fit, point.design, plan, sensors) for fit in fits]
+    here = there(point, fits[0], plan, sensors, runs[0])
     model = linearise(here)
     sensitivities = Sensitivities(here)
     columns: list[Column] = []
@@ -144,7 +136,7 @@ def _seen(question: Question, plan: Plan, warmer: float = 0.0) -> _Seen:
     for h, fit, T in zip(named, fits, runs):
         at = replace(model, point=here.with_effects(fit.point.effects))
         columns.append(tangents(at, sensitivities)[1] or _none(model))
-        other = replace(here, T=T, design=_as_found(fit, here.design)).with_effects(fit.point.effects)
+        other = replace(here, T=T, design=as_found(fit, here.design), seats=seats_of(here.design, fit.point.seats)).with_effects(fit.point.effects)
         moved.append(_between(model, here, other))
         shapes.append(change(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
@@ -161,58 +153,6 @@ def _with_foreign(question: Question, means: np.ndarray, covariances: np.ndarray
     wide = np.zeros((h + 1, h + 1))
     wide[:h, :h] = cosines
     return Foretold(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
-
-
-def _latest(point: OperatingPoint) -> OperatingPoint:
-    """The OperatingPoint with each camera where it stood in the last recording, by its own name."""
-    last = {c.name.partition("@")[0]: c for c in point.design.cameras}
-    return replace(point, design=replace(point.design, cameras=tuple(last.values())))
-
-
-def _course(point: OperatingPoint, plan: Plan, warmer: float) -> Sensors | None:
-    """The log of a recording that is not there yet: temperatures run as in the first one, so many K warmer, the payload as the plan has it."""
-    log = point.sensors
-    if log is None:
-        return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
-    end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)
-    first = {name: values[:end] + warmer * name.endswith(TEMPERATURE) for name, values in log.channels.items() if name != PAYLOAD}
-    return logged(plan, Sensors(log.t[:end], first))
-
-
-def _as_found(fit: Refined, design: Design) -> Design:
-    """A Design with the geometry, and the cameras of its names, as fitted."""
-    cameras = {c.name: c for c in fit.point.design.cameras}
-    return replace(design, mechanism=fit.point.design.mechanism, cameras=tuple(cameras[c.name] for c in design.cameras))
-
-
-def _poses(fit: Refined, design: Design, plan: Plan, sensors: Sensors | None) -> RigidTransform:
-    """T_base_platform (F,) at a plan's exposures, as a fit has the machine."""
-    moving = [e for e in fit.point.effects if e.stage != "view"]
-    return machine.run(_as_found(fit, design), plan.commands, plan.t, moving, sensors).T_base_platform
-
-
-def _there(point: OperatingPoint, fit: Refined, plan: Plan, sensors: Sensors | None, T: RigidTransform) -> OperatingPoint:
-    """The OperatingPoint of a plan's recording as one fit foretells it, with noise that is as large as before."""
-    rng, design, F = np.random.default_rng(SEED), _as_found(fit, point.design), len(plan.t)
-    here = OperatingPoint(design, replace(point.stated, cameras=design.cameras), np.arange(F), plan.t, T, {}, None, plan.commands, sensors, None,
-                          fit.point.effects, standing=point.standing)
-    if point.seen is None:
-        own = point.own if point.own is not None else np.zeros((1, 6, 6))
-        typical = np.median(own, axis=0)
-        noise = rng.multivariate_normal(np.zeros(6), typical, F)
-        return replace(here, T=T * exp(noise), own=np.broadcast_to(typical, (F, 6, 6)).copy())
-    markers, state = marker_map(here.stated), State(design.cameras, T, {})
-    sightings = facing(state, markers)
-    uv = see(sightings, state, markers, plan.t, fit.point.effects, sensors, here.run(fit.point.effects))
-    whole = inside(sightings, uv, design.cameras)
-    sightings, uv = sightings.take(whole), uv[whole].reshape(-1, 2)
-    if len(np.unique(sightings.frame)) < F:
-        raise RigError(f"in {F - len(np.unique(sightings.frame))} of the plan's {F} exposures no camera would see a marker")
-    sigma = fit.model.corner_noise()
-    corners = Corners(np.repeat(sightings.frame, 4), [design.cameras[i].name for i in np.repeat(sightings.camera, 4)],
-                      np.repeat(markers.id[sightings.marker], 4), np.tile(np.arange(4), len(sightings.frame)),
-                      uv + sigma * rng.normal(size=uv.shape), np.broadcast_to(sigma**2 * np.eye(2), (len(uv), 2, 2)).copy())
-    return replace(here, seen=seen_of(from_corners(corners, here.frames, here.stated, markers), markers))
 
 
 def _between(model: LinearisedModel, here: OperatingPoint, other: OperatingPoint) -> Column:
@@ -235,19 +175,34 @@ def _without(effects: Sequence[Effect], number: int) -> list[Effect]:
     return [e for i, e in enumerate(effects) if i != number]
 
 
+def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple[str, str | int]], np.ndarray]:
+    """(names of the nuisances (p,) so far and of the new recording's own, (p, p) information on them that the recordings so far, and what
+    remounting may do to a cube that is put back, give)."""
+    before = list(model.nuisances.names)
+    fresh = [name for name in new.nuisances.names if name not in before]
+    P = np.linalg.pinv(model.nuisances.solve)
+    own = seats_among(fresh)
+    if sum(map(len, own.values())) != len(fresh):
+        raise ValueError(f"the new recording has nuisances that no recording before has: {fresh}")
+    information = np.diag(np.r_[np.zeros(len(before)), np.tile(1 / np.repeat(SEAT, 3) ** 2, len(own))])
+    information[: len(before), : len(before)] = P.T @ P
+    return [*before, *fresh], information
+
+
 def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     """(p + c, p + c) covariance of the new recording's nuisances and of a fit's coordinates (c), as the recordings so far have them."""
-    model, names, count = fit.model, list(fit.model.nuisances.names), len(fit.coordinates)
-    P = np.linalg.pinv(model.nuisances.solve)
-    information = np.zeros((len(names) + count, len(names) + count))
-    information[: len(names), : len(names)] = P.T @ P
+    names, own = _nuisances(fit.model, new)
+    n, count = len(names), len(fit.coordinates)
+    information = np.zeros((n + count, n + count))
+    information[:n, :n] = own
     if fit.column is not None and count:
-        found, wide = model.linear.project(fit.column), beforehand(fit.coordinates, fit.point.effects)
-        information[: len(names), len(names) :] = P.T @ found.onto
-        information[len(names) :, : len(names)] = found.onto.T @ P
-        information[len(names) :, len(names) :] = found.gram + found.onto.T @ found.onto + np.diag(1 / wide**2)
+        found, wide = fit.model.linear.project(fit.column), beforehand(fit.coordinates, fit.point.effects)
+        cross = np.linalg.pinv(fit.model.nuisances.solve).T @ found.onto
+        information[: len(cross), n:] = cross
+        information[n:, : len(cross)] = cross.T
+        information[n:, n:] = found.gram + found.onto.T @ found.onto + np.diag(1 / wide**2)
     covariance = _inverse(information)
-    at = [names.index(name) for name in new.nuisances.names] + list(range(len(names), len(names) + count))
+    at = [names.index(name) for name in new.nuisances.names] + list(range(n, n + count))
     return covariance[np.ix_(at, at)]
 
 
@@ -257,8 +212,9 @@ def _cosines(named: Sequence[Hypothesis], fits: Sequence[Refined], new: Linearis
     own = joined([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
                   for h, fit in zip(named, fits)])
     found = model.linear.project(own)
-    P, names = np.linalg.pinv(model.nuisances.solve), list(model.nuisances.names)
-    N, K, G = P.T @ P, P.T @ found.onto, found.gram + found.onto.T @ found.onto
+    P, (names, N) = np.linalg.pinv(model.nuisances.solve), _nuisances(model, new)
+    K, G = np.zeros((len(names), len(fits))), found.gram + found.onto.T @ found.onto
+    K[: P.shape[1]] = P.T @ found.onto
     at = [names.index(name) for name in new.nuisances.names]
     N[np.ix_(at, at)] += nuisances.T @ nuisances
     K[at] += nuisances.T @ shapes

@@ -39,7 +39,8 @@ def to_do(looks: Sequence[Look], ended: str) -> list[str]:
     if looks[-1].unasked:
         return [f"Make it possible to ask: {text}" for text in looks[-1].unasked]
     if looks[-1].questions:
-        return ["Allow more: a longer `--budget`, or `[experiment] may = [\"payload\", \"wait\"]` in rig.toml; then again with `--resume`"]
+        return ["Allow more: a longer `--budget`, or `[experiment] may = [\"payload\", \"wait\", \"turn cube NAME\"]` in rig.toml; then again with "
+                "`--resume`"]
     return [f"Look at what each finding says to do: `diagnosis{looks[-1].number}/diagnosis.html`"] if looks[-1].findings else []
 
 

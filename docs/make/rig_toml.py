@@ -45,6 +45,9 @@ TABLES = {  # as it is headed: (the dataclass that it becomes, what is said of i
     "[sensors]": (SensorPort, "Only where a run reads thermometers or measuring limbs; [operating](operating.md) says more."),
     "[insitu]": (MeasuringLimbs, "Only where there are measuring limbs; [measuring](measuring.md) says more."),
     "[experiment]": (Permission, "Only where [experiments](investigate.md) may do more than move."),
+    "[turned]": (None, "Cubes that were taken off and put back since their `pose` was stated, each with its quarter turns about its own z, "
+                       "right-handed: `P1 = 1`; 0 for one that looks as before. Their places are known only to what remounting may do, so that "
+                       "their markers hold no pose; several recordings [together](investigate.md) find them."),
     "[dynamics]": (ArmDynamics, "Of arms, only where forces at the hand are asked for; [forces](force.md) say more."),
     "[sensor]": (Sensor, "What simulated cameras do to light; real ones need none of it."),
 }
@@ -124,7 +127,7 @@ class Log(Entries):
 
 HANGS_ON_ANOTHER = {("[[camera]]", "row_time"): "`0`; **required** of a rolling shutter", ("[controller]", "max_speed"): "`[actuator]` `max_speed`",
                     ("[[target.marker]]", "margin"): "an eighth of `side`"}
-KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "may": "list of `payload`, `wait`", "channels": "list of names",
+KINDS_OF_GET = {"homing": "true or false", "axes": "list of names", "may": "list of `payload`, `wait`, `turn cube NAME`", "channels": "list of names",
                 "joints": "rows `[theta, d, a, alpha]`, or five numbers with beta; a slide's begins with `\"prismatic\"`; or tables "
                           "`[[mechanism.joints]]`"}
 
@@ -174,7 +177,7 @@ def asked() -> dict[tuple[str, Key], Asked]:
 
 
 TABLE_KEYS = ("schema", "environment", "mechanism", "camera", "target", "platform", "actuator", "instrument", "controller", "sensors", "insitu",
-              "experiment", "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
+              "experiment", "turned", "sensor", "dynamics", "faces", "position", "rotvec", "kind", "+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def page() -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.output import read_recording
+from rig.cubes import WORDS, turned
 from rig.errors import FileError, RigError
 from rig.mistakes.mistake import Mistake
 
@@ -93,6 +94,9 @@ def _judge_files(recording: "Recording", anyway: bool) -> None:
     from rig.mistakes.early import early
 
     judge(early(recording), anyway)
+    for name, quarters in turned(recording.design).items():
+        print(f"{recording.folder}: cube {name} was taken off and put back, {WORDS[quarters]}; its place is known only to what that may do, so its "
+              "markers hold no pose", flush=True)
     if recording.has_images and recording.corners is None and recording.design.targets:
         from vision.mistakes.images import misread
 

@@ -27,8 +27,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan of the experiment that would best tell apart what is "
                         "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); next.json says its chance")
     parser.add_argument("--minutes", metavar="MIN", type=float, default=60.0, help="for --next: that the experiment may take (default 60)")
-    parser.add_argument("--may", action="append", metavar="payload|wait", help="for --next: what may be asked of an operator, in place of "
-                        "what rig.toml says under [experiment]; may be given again")
+    parser.add_argument("--may", action="append", metavar="payload|wait|'turn cube NAME'", help="for --next: what may be asked of an operator, in "
+                        "place of what rig.toml says under [experiment]; may be given again")
     parser.add_argument("--standing", action="store_true", help="for --next: only plans at whose exposures the struts stand, as rig run takes them")
 
 
@@ -38,11 +38,25 @@ def refuse(arguments: Namespace) -> None:
         raise RigError(f"--minutes takes a time above 0 and up to {LONGEST:g} min, not {arguments.minutes:g}")
     if arguments.next is None and (arguments.standing or arguments.may):
         raise RigError("--standing and --may are for --next FILE")
-    from rig.design import PERMITTED
+    from rig.design import PERMITTED, TURN
 
     for word in arguments.may or ():
-        if word not in PERMITTED:
-            raise RigError(f"--may takes {' or '.join(PERMITTED)}, not {word!r}")
+        if word not in PERMITTED and not word.startswith(TURN):
+            raise RigError(f"--may takes {', '.join(PERMITTED)} or '{TURN}NAME', not {word!r}")
+
+
+def allowed(arguments: Namespace, design: Design) -> tuple[str, ...]:
+    """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design does not have"""
+    from rig.cubes import cube_named
+    from rig.design import TURN
+
+    out = []
+    for word in arguments.may or design.experiment.may:
+        name, problem = cube_named(word.removeprefix(TURN), design.targets) if word.startswith(TURN) else ("", None)
+        if problem:
+            raise RigError(f"--may {word!r}: {problem}")
+        out.append(TURN + name if name else word)
+    return tuple(out)
 
 
 def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, out: Path, progress: Progress) -> None:
@@ -50,14 +64,16 @@ def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, o
     from calib.experiment.apart import cameras
     from calib.experiment.choose import choose, kinds
     from calib.experiment.hypotheses import questions
-    from rig import plan
+    from rig import plan_table
+    from rig.cubes import turned
 
     asked = questions(found)
     experiments: list[Experiment] = []
     seen: dict[str, float] = {}
     if asked:
         seed = SEED + max(len(found.parts), 1)
-        experiments, refused = choose(asked, design, kinds(arguments.may or design.experiment.may, arguments.standing), seed, arguments.minutes,
+        texts = kinds(allowed(arguments, design), arguments.standing, tuple(turned(design)))
+        experiments, refused = choose(asked, design, texts, seed, arguments.minutes,
                                       lambda done, of: progress("foretelling experiments", done, of))
         progress.close()
         experiments = [e for e in experiments if e.bits >= TELLING]
@@ -69,7 +85,7 @@ def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, o
         print("nothing is alike that an experiment could tell apart")
     (out / "next.json").write_text(json.dumps(_tree(asked, experiments, seen), indent=1) + "\n", encoding="utf-8")
     if experiments:
-        plan.write(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
+        plan_table.write(arguments.outputs.file(arguments.next), experiments[0].plan, design.mechanism.axes)
         print(f"written: {arguments.next}")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,9 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
 
     Where a command refuses, what follows from it is left out, and that is a line
     """
-    from calib.experiment.record import diagnosis_of, recording_of
-    from rig.plan import build, write
+    from calib.experiment.record import diagnosis_of, plan_of, recording_of
+    from rig.plan import build
+    from rig.plan_table import write
 
     out, said = arguments.out, []
     recordings = [str(recording_of(out, look.number)) for look in looks]
@@ -41,7 +43,8 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
         if not done:
             _wanted(poses, rig, arguments)
             rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
-            write(plan, build(rig.design, f"commands:{commands}"), rig.design.mechanism.axes)
+            stands = build(rig.design, f"commands:{plan_of(out, number)}").turned  # cubes stay as they were put back
+            write(plan, replace(build(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes)
         rig.record(plan, again, arguments.seed + VERIFYING)
         rig.call("verify", str(calibration), str(again))
         said.append(f"verified on new poses, commanded through the correction: {again.name}")

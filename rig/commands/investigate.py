@@ -100,7 +100,8 @@ def _begin(arguments: Namespace, rig: Rig) -> None:
     from calib.experiment.record import plan_of
     from rig import json_file
     from rig.files import write_bytes, write_text
-    from rig.plan import build, write
+    from rig.plan import build
+    from rig.plan_table import write
 
     out, own = arguments.out, {"schema": "investigation/1", "rig": rig.digest, "by": rig.by, "seed": arguments.seed}
     if arguments.resume:

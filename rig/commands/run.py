@@ -55,11 +55,16 @@ def run(arguments: Namespace) -> int:
     """Check, home, and visit every pose of the plan; or go on where another process ended."""
     from rig.cameras.settled import settling
     from rig.commands.driving import design_of
+    from rig.cubes import to_do, turned
     from rig.plan import build
     from rig.steps import steps
 
     design = design_of(arguments.design, arguments.port)
-    planned = steps(build(design, arguments.plan, arguments.seed))
+    plan = build(design, arguments.plan, arguments.seed)
+    planned = steps(plan)
+    todo = to_do(dict(plan.turned), turned(design))
+    if todo:
+        raise RigError(f"the plan is for a cube put back turned; {'; '.join(todo)}, and say so in {arguments.design} under [turned]")
     settle, options = settling(arguments.settle), _options(arguments)
     from_limbs.refuse_check(arguments)
     if arguments.limbs is not None:

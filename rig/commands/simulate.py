@@ -28,7 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
                         "wrote; OUT gets two recordings, with/ and without/ the physics that was found")
     parser.add_argument("--plan", default="standard", help="of sobol:N, division:Q, grid:N, simplices:N, axes:N, "
                         "combined:N, ladder:N, payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, "
-                        "commands:FILE; or standard (the default)")
+                        "turn:CUBE (before all others: that cube is put back turned by a quarter turn), commands:FILE; or standard (the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
     own_effects.argument(parser)
     parser.add_argument("--noise", type=float, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")

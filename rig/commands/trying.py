@@ -22,7 +22,7 @@ class Waiting(Exception):
 
 class Rig:
     """A machine that can be told to make a recording. by : "machine", "driver" or "hand"; moving : whether it may be exposed on the way
-    digest : of its rig.toml, but for what experiments may do, and of a simulated one of its truth"""
+    digest : of its rig.toml, but for what experiments may do and how cubes stand, and of a simulated one of its truth"""
 
     def __init__(self, arguments: Namespace, design: Design) -> None:
         self.design, self._arguments = design, arguments
@@ -35,7 +35,8 @@ class Rig:
         for path in read:
             if not path.is_file():
                 raise RigError(f"{path}: no such file")
-        tree = {name: table for name, table in tomllib.loads(arguments.design.read_text(encoding="utf-8-sig")).items() if name != "experiment"}
+        stated = tomllib.loads(arguments.design.read_text(encoding="utf-8-sig"))
+        tree = {name: table for name, table in stated.items() if name not in ("experiment", "turned")}
         parts = [json.dumps(tree, sort_keys=True).encode(), *(path.read_bytes() for path in read[1:])]
         self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -62,23 +63,52 @@ class Rig:
             self._drive(plan, out)
         elif not (out / "frames.csv").exists():
             raise Waiting(self._asked(plan, out))
+        else:
+            self._stood(plan, out)
 
     def _drive(self, plan: Path, out: Path) -> None:
         """Have the driver carry a plan out, from where it was interrupted."""
+        from rig.cubes import to_do, turned
+        from rig.plan import build
+
         begun, a = (out / "journal.jsonl").exists(), self._arguments
         if begun and _done(out / "journal.jsonl"):
             return
+        cubes = dict(build(self.design, f"commands:{plan}").turned)
+        todo = to_do(cubes, turned(self.design))
+        if todo:
+            then = f"  then say so in {a.design}, {_said(cubes)}, and give the same command with --resume"
+            raise Waiting("\n".join(["to do, before the struts move:", *(f"  {text}" for text in todo), then]))
         more = [*(["--port", a.port] if a.port else []), *(["--no-home"] if a.no_home else []), *(["--resume"] if begun else [])]
         self.call("run", str(a.design), "--plan", f"commands:{plan}", "--out", str(out), "--settle", a.settle, "--no-measure", *more)
 
+    def _stood(self, plan: Path, out: Path) -> None:
+        """Raise RigError where a recording by hand does not say that cubes stood as its plan has them."""
+        from rig import design_file
+        from rig.cubes import turned
+        from rig.plan import build
+
+        wanted, told = dict(build(self.design, f"commands:{plan}").turned), turned(design_file.load(out / "rig.toml"))
+        if told != wanted:
+            raise RigError(f"{plan} is for cubes that stand as {_said(wanted) if wanted else 'rig.toml states them'}, and {out / 'rig.toml'} says "
+                           f"{_said(told) if told else 'that none was taken off'}; state there how they stood")
+
     def _asked(self, plan: Path, out: Path) -> str:
         """What somebody is asked to do, in words."""
+        from rig.cubes import to_do
         from rig.plan import build
 
         todo = build(self.design, f"commands:{plan}")
+        cubes = [f"  before it begins: {text}" for text in to_do(dict(todo.turned), {})]
+        cubes += [f"  and say so in its rig.toml: {_said(dict(todo.turned))}"] if cubes else []
         loads = [f"  at t = {t:.0f} s: " + (f"load {mass:.3g} kg" if mass else "take the load off") for t, mass in todo.payload[1:]]
         return "\n".join([f"to do: carry out {plan} ({len(todo.t)} exposures, where a row has a frame; {todo.commands.t[-1] / 60:.1f} min) and "
-                          f"record it as {out}, with its own commands.csv and frames.csv; then the same command with --resume", *loads])
+                          f"record it as {out}, with its own commands.csv and frames.csv; then the same command with --resume", *cubes, *loads])
+
+
+def _said(cubes: dict[str, int]) -> str:
+    """How cubes stand, as rig.toml says it."""
+    return "[turned] " + ", ".join(f"{name} = {quarter}" for name, quarter in cubes.items())
 
 
 def _done(journal: Path) -> bool:

@@ -41,9 +41,8 @@ class MarkerSwap(Effect):
     def attach(self, markers: Any) -> Any:
         a = np.flatnonzero(markers.id == int(self.place.split(" ")[1]))
         b = np.flatnonzero(markers.id == int(self.other)) if self.other >= 0 else a
-        order = np.arange(len(markers.id))
-        if len(a) and len(b):
-            order[a], order[b] = b, a
+        order, both = np.arange(len(markers.id)), min(len(a), len(b))  # a print of a cube that was put back turned has a row for each seat
+        order[a[:both]], order[b[:both]] = b[:both], a[:both]
         spin = exp(np.r_[np.zeros(5), int(self.turn) * np.pi / 2])
         poses = moved(markers.T_body_marker[order], np.isin(np.arange(len(order)), a), lambda T: T * spin)
         return replace(markers, T_body_marker=poses, on_platform=markers.on_platform[order], target=[markers.target[k] for k in order],

@@ -53,11 +53,15 @@ class Trial:
 def of(design: Design, corners: Corners, frames: np.ndarray, t: np.ndarray, count: int = FRAMES) -> Seen | None:
     """Seen of some frames spread over a recording, of each stretch the one that shows most; None where there are no corners.
 
-    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside
+    frames : (F,) all frames' numbers; t : (F,) s. What is on a chain's stages below the last is left aside, and what was put back: its place is told
+    only to what remounting may do
     """
     on_stages = [number for target in design.targets if target.stage for number in target.ids]
     if on_stages:
         design, corners = design.without_stages(), take(corners, ~np.isin(corners.marker, on_stages))
+    put_back = [number for target in design.targets if target.turned is not None for number in target.ids]
+    if put_back:
+        corners = take(corners, ~np.isin(corners.marker, put_back))
     if not len(corners.frame):
         return None
     rich = np.bincount(np.searchsorted(frames, corners.frame), minlength=len(frames))

@@ -67,6 +67,7 @@ def suspects(measurement: Measurement, marker_map: MarkerMap, repeated: Iterable
 
     repeated : identities that one image shows more than once, as often as there are such images; read : called with (frame number, camera
     name), returns that image, None where there is none; without it markers that are never seen are not looked for
+    Those of a cube that was put back, which sits where nobody has stated, are no suspects
     """
     found = _misplaced(measurement, marker_map)
     found.update({number: Suspect(number, "twice", -1, 0, count, count) for number, count in Counter(repeated).items() if number not in found})
@@ -76,7 +77,8 @@ def suspects(measurement: Measurement, marker_map: MarkerMap, repeated: Iterable
     for number, s in found.items():
         if s.kind == "elsewhere" and pairs.get(s.other) == number:
             found[number] = Suspect(number, "exchanged", *(getattr(s, name) for name in ("other", "turn", "like", "of")))
-    return tuple(found[number] for number in marker_map.id.tolist() if number in found)
+    loose = {target.name for target in measurement.design.targets if target.turned is not None}
+    return tuple(found[number] for number, name in zip(marker_map.id.tolist(), marker_map.target) if number in found and name not in loose)
 
 
 def _misplaced(m: Measurement, marker_map: MarkerMap) -> dict[int, Suspect]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rig.cli import main
-from rig.plan import build, write
+from rig.plan import build
+from rig.plan_table import write
 
 
 def test_a_plan_in_time_comes_back_with_its_payload(design, tmp_path):

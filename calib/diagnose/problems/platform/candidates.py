@@ -93,7 +93,7 @@ def platform_candidates(point: OperatingPoint, asked: Asked) -> tuple[list[Platf
         try:
             sites[kind.name] = kind.sites(context)
             if kind.discrete:  # a face that nobody saw may have been exchanged as well
-                sites[kind.name] = tuple(f"marker {number}" for number in point.observed.markers.id)
+                sites[kind.name] = tuple(f"marker {number}" for number in dict.fromkeys(point.observed.markers.id))
                 continue
             for place in sites[kind.name]:
                 if asked.place(kind.name, place):
@@ -113,7 +113,8 @@ def context_of(point: OperatingPoint) -> Context:
         rows, markers = np.unique(k.observed.observations.marker), k.observed.markers
         targets = {markers.target[m] for m in rows}
         seen = {"cameras": tuple(k.design.cameras[i].name for i in np.unique(k.observed.observations.camera)),
-                "markers": tuple(int(markers.id[m]) for m in rows), "targets": tuple(t.name for t in k.stated.targets if t.name in targets)}
+                "markers": tuple(dict.fromkeys(markers.id[rows].tolist())),
+                "targets": tuple(t.name for t in k.stated.targets if t.name in targets and t.turned is None)}
     return Context(k.stated, k.t, k.sensors, k.motion(()) if k.axes else None, moving=tuple(k.design.cameras[i].name for i in k.moving), **seen)
 
 

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
-from rig.tolerances import FINDER
+from rig.tolerances import FINDER, SEAT
 from rig.design import Design
 from rig.effects.edge_bias import EdgeBias
 from vision import lens
 from vision.bundle.adjust import lens_prior
 from vision.bundle.condensed import repeats, sums
-from vision.bundle.derivatives import derivatives
+from vision.bundle.derivatives import derivatives, moved, seen, turned
 from vision.observations import Observations
 
 EDGES = "edges"  # name of that freedom of each camera: a bias of all its edges, which the corner finder brings
+SEAT_LABELS = tuple(f"seat {part}" for part in ("x", "y", "z", "rx", "ry", "rz"))  # of where a cube sits that was put back
 MEDIAN = 0.4549364  # of chi-square with one degree of freedom
 REPEATS = 5  # of a standing corner from which its mean counts
 STANDING_GROUPS, STANDING_PROOF = 20, 4.0  # standing corners, and standard errors by which they must be off together
@@ -80,6 +81,7 @@ def corner_rows(k: OperatingPoint) -> CornerRows:
             found.camera_columns.setdefault(i, []).extend(range(len(found.names), len(found.names) + len(labels)))
             found.add(at[rows], whitener[rows] @ block, camera.name, labels, prior)
     _add_finder(k, found, at, whitener)
+    _add_seats(k, found, at, whitener)
     table, start = np.zeros((n, 2, 1 + len(found.names))), 1
     table[:, :, 0] = rho[order]
     for at_rows, block in found.shared:
@@ -103,6 +105,22 @@ def _add_finder(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: 
         found.add(at[rows], whitener[rows] @ moved[seen.row[rows], o.corner[rows]][..., None], camera.name, (EDGES,), [1 / FINDER.sigma])
 
 
+def _add_seats(k: OperatingPoint, found: _Nuisances, at: np.ndarray, whitener: np.ndarray) -> None:
+    """Add where each cube sits that was put back, as far as remounting may move it. at : (n,) rows of corners; whitener : (n, 2, 2)"""
+    o, markers = k.observed.observations, k.observed.markers
+    R = k.T.rotation.as_matrix()
+    for seat in k.seats:
+        own = np.array([f"target {target}" == seat.place for target in markers.target])
+        rows = np.flatnonzero(own[o.marker])
+        if not len(rows):
+            continue
+        part, block = o.take(rows), np.empty((len(rows), 2, 6))
+        middle = markers.T_body_marker.translation[own].mean(axis=0)
+        for _, some, _, J_base, _, _ in seen(part, k.state):
+            block[some] = moved(turned(J_base, R, part.frame[some], part.on_platform[some]), part.points[some] - middle)
+        found.add(at[rows], whitener[rows] @ block, seat.place, SEAT_LABELS, np.repeat(1 / np.array(SEAT), 3).tolist())
+
+
 def _own_basis(J_local: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((2n, L) orthonormal basis of each frame's own poses, (F, L, L) from its coordinates to tangents) of derivatives (2n, L)."""
     frames, L = len(edges) - 1, J_local.shape[1]
@@ -120,6 +138,15 @@ def edges_of(names: Sequence[tuple[str, str | int]], design: Design) -> list[tup
     """[(camera's index, freedom's)] of the freedoms (their names) that are a bias of all edges in a camera's images."""
     cameras = [camera.name for camera in design.cameras]
     return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
+
+
+def seats_of(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
+    """{place of a cube that was put back: its six freedoms} among the freedoms (their names)."""
+    out: dict[str, list[int]] = {}
+    for j, (place, what) in enumerate(names):
+        if what in SEAT_LABELS:
+            out.setdefault(place, []).append(j)
+    return out
 
 
 def _weights(o: Observations, k: OperatingPoint) -> np.ndarray:

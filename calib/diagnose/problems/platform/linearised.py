@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
-from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of
+from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of, seats_of
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian
 from rig.parallel import threaded
-from rig.tolerances import FINDER
+from rig.tolerances import FINDER, SEAT
 
 CORNERS, CLOSURES = 0, 1  # the blocks
 CLIP = 5.0  # standard deviations; a residual counts for no more, so that one wild corner proves nothing and a crowd still does
@@ -155,6 +155,9 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
     for i, j in edges_of(tuple(names), k.design) if k.finder else ():
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
+    at = seats_of(names)
+    for seat in (seat for seat in k.seats if seat.place in at):
+        beforehand[at[seat.place], 0] = -np.array(seat.motion) / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:
         mechanism, root = k.known
         beforehand[-len(root) :, 0] = root @ (parameters(mechanism) - parameters(k.platform))

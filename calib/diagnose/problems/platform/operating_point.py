@@ -1,6 +1,6 @@
 """What is taken as known while the rest is questioned: cameras, geometry, poses and the effects admitted so far."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from calib.certify.calibration import Calibration
 from rig import machine, mechanisms
 from rig.design import Camera, Design, Hexapod, Planar2
 from rig.effects.base import Effect, Motion
+from rig.effects.cube_misplacement import CubeMisplacement
 from rig.effects.edge_bias import EdgeBias
 from rig.errors import NotEnoughData, RigError
 from rig.kinds import Struts
@@ -56,6 +57,7 @@ class OperatingPoint:
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
+    seats : by which cubes that were put back sit off where they are stated
     """
 
     design: Design
@@ -73,6 +75,7 @@ class OperatingPoint:
     standing: float = 0.0
     known: tuple[Hexapod, np.ndarray] | None = None
     log_errors: dict[str, np.ndarray] = field(default_factory=dict)
+    seats: tuple[CubeMisplacement, ...] = ()
 
     @property
     def state(self) -> State:
@@ -145,7 +148,7 @@ class OperatingPoint:
         run = self.run(effects) if run is None else run
         sightings = seen.sightings if rows is None else seen.sightings.take(rows)
         shifted = [EdgeBias(f"camera {c.name}", b) for c, b in zip(self.design.cameras, self.finder) if b]
-        quads = see(sightings, self.state, seen.markers, self.t, [*effects, *shifted], self.sensors, run)
+        quads = see(sightings, self.state, seen.markers, self.t, [*effects, *shifted, *self.seats], self.sensors, run)
         return quads if rows is not None else quads[seen.row, seen.observations.corner]
 
     def with_effects(self, effects: Iterable[Effect]) -> "OperatingPoint":
@@ -185,7 +188,14 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
     state = measured.adjustment.state
     point = OperatingPoint(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
                            state.moving, None, recording.commands if kind != "free" else None, sensors, None, known=known, log_errors=log_errors)
-    return replace(point, seen=_seen(measured, point)), source, measured
+    return replace(point, seen=_seen(measured, point), seats=seats_of(design)), source, measured
+
+
+def seats_of(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
+    """One for each cube of a design that was put back, off by nothing but for those that are known."""
+    own = {seat.place: seat for seat in known}
+    places = [f"target {target.name}" for target in design.targets if target.turned is not None]
+    return tuple(own.get(place, CubeMisplacement(place)) for place in places)
 
 
 def _known(recording: Recording, calibration: Calibration) -> tuple[Hexapod, np.ndarray]:

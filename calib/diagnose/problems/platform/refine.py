@@ -13,7 +13,7 @@ from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
 from calib.diagnose.problems.platform.coordinates import tangents
-from calib.diagnose.problems.platform.corners import edges_of, standing
+from calib.diagnose.problems.platform.corners import edges_of, seats_of, standing
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
 from calib.diagnose.problems.platform.search import column_of
@@ -235,8 +235,8 @@ def _comparable(model: LinearisedModel) -> float:
 
 def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, column: Column | None, effects: list[Effect]) -> OperatingPoint:
     """OperatingPoint with nuisances (p,) and each frame's own poses moved to where the fit puts them."""
-    k, own = model.point, model.corners.inner
-    inner = own[..., 0] - own[..., 1:] @ freedoms[: own.shape[2] - 1]
+    k, whole = model.point, model.corners.inner
+    inner = whole[..., 0] - whole[..., 1:] @ freedoms[: whole.shape[2] - 1]
     if column is not None and column.inner is not None:
         inner = inner - column.inner @ step
     local = np.einsum("fij,fj->fi", model.corners.to_local, inner)
@@ -252,9 +252,11 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
     finder = list(k.finder or [0.0] * len(cameras))
     for i, j in edges_of(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
+    own = seats_of(model.nuisances.names)
+    seats = tuple(replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s for s in k.seats)
     if k.axes:
         m, p = k.platform, parameters(k.platform)
         k = replace(k, design=replace(k.design, mechanism=with_parameters(m, p + freedoms[len(model.nuisances.names) - len(p) :])))
     if k.seen is None:
         local = np.zeros((model.frames, 6))
-    return replace(moved(k, cameras, local), effects=tuple(effects), finder=tuple(finder))
+    return replace(moved(k, cameras, local), effects=tuple(effects), finder=tuple(finder), seats=seats)

@@ -119,7 +119,8 @@ def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], l
     everywhere, scaled = kept.touched(rows, quads[..., None])
     add(Site(PrintScale.name, ALL_MARKERS, (("scale", "", 1),), SIDES, slice(0)), [SIDES.sigma], everywhere, scaled)
     own = ids[o.sightings.marker][o.row[everywhere]]
-    for m in np.unique(o.sightings.marker):
+    _, prints = np.unique(ids, return_index=True)
+    for m in np.sort(prints[np.isin(ids[prints], own)]):
         place, half = f"marker {ids[m]}", o.markers.side[m] / 2
         columns = [kept.derivative(FaceMisplacement, place, Linear(name, j, STEP), {}) for name in ("offset", "rotation") for j in range(3)]
         site = Site(FaceMisplacement.name, place, (("offset", "m", 3), ("rotation", "rad", 3)), PLACES, slice(0))
