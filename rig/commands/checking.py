@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.output import read_recording
-from rig.cubes import WORDS, turned
 from rig.errors import FileError, RigError
 from rig.mistakes.mistake import Mistake
 
@@ -91,6 +90,7 @@ def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Rec
 
 def _judge_files(recording: "Recording", anyway: bool) -> None:
     """Judge what a recording's files and some of its images show."""
+    from rig.cubes import WORDS, turned
     from rig.mistakes.early import early
 
     judge(early(recording), anyway)
