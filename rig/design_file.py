@@ -56,7 +56,7 @@ def entries_of(text: str, path: Path) -> Entries:
 
 def design_of(root: Entries) -> Design:
     """Design of a whole rig.toml's Entries, lengths in m, angles in rad. Raises FileError as `load` does."""
-    root.text("schema", (SCHEMA,))
+    root.schema("rig.toml", SCHEMA)
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
                           "insitu", "controller", "sensors", "dynamics", "experiment", "turned"))
     environment = root.table("environment", optional=True)

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.errors import FileError
 from rig.outside import shown
 from rig.pose import pose
+from rig.schema import require
 
 LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure is in another unit
 LARGEST_NUMBER = 1e100  # beyond it the square of a number is none
@@ -102,6 +103,11 @@ class Entries:
             self.fail(f"{self.name(key)} must be a list of whole numbers, not {shown(value)}", key)
         inner = Entries(dict(enumerate(value)), (*self.path, key), self.file, self.places)
         return tuple(inner.whole(i, least) for i in range(len(value)))
+
+    def schema(self, what: str, known: str) -> None:
+        """Raise FileError where a whole file's table does not name the schema known. what : the file should be"""
+        self.text("schema")
+        require(self.file, what, self.tree["schema"], (known,), self.places[(*self.path, "schema")])
 
     def texts(self, key: Key) -> tuple[str, ...]:
         """Texts, as a tuple."""

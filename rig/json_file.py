@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
 from rig.outside import read_text, shown
+from rig.schema import require
 
 if TYPE_CHECKING:
     from rig.entries import Entries
@@ -35,10 +37,18 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
         raise FileError(path, f"not valid JSON: {error}") from None
     if not isinstance(tree, dict):
         raise FileError(path, f"is no {what}: it holds {shown(tree)}")
-    if schemas and tree.get("schema") not in schemas:
-        known = " or ".join(f'"{schema}"' for schema in schemas)
-        raise FileError(path, f'is no {what}: its schema is {shown(tree.get("schema"))}, not {known}')
+    if schemas:
+        require(path, what, tree.get("schema"), schemas, _place(text, "schema"))
     return Entries(tree, (), path, {(): (None, None)})
+
+
+def _place(text: str, key: str) -> tuple[int, int] | tuple[None, None]:
+    """(line, column) of what stands first under a key in a JSON text; of none, None."""
+    found = re.search(rf'"{key}"\s*:\s*', text)
+    if found is None:
+        return None, None
+    before = text[: found.end()]
+    return before.count("\n") + 1, found.end() - before.rfind("\n")
 
 
 def nulls(tree: Any) -> Any:

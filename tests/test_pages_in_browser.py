@@ -4,7 +4,6 @@ It takes Chromium and the extra `browser` (playwright, axe-core-python); RIG_SCR
 """
 
 import os
-import shutil
 import time
 from importlib import resources
 from pathlib import Path
@@ -16,11 +15,10 @@ from calib.certify.insitu import Agreement
 from calib.experiment.record import Hypothesis, Look
 from calib.experiment.timeline import timeline_page
 from calib.pages.limbs import limbs_page
-from rig.cli import main
+from docs.make import pictures, project
 from rig.commands.blind_page import campaign_page
 from rig.page.server import PageServer
 from synthetic.score import Case, Found, Hidden
-from tests.conftest import SHARED
 from tests.rig.test_page import EVENT
 from vision.snapshot import jpeg
 
@@ -30,41 +28,15 @@ KINDS = ("measure", "calibrate", "diagnose", "verify", "certify", "workspace", "
 WIDTHS = (400, 800, 1400)
 LARGEST, READY = 6e6, 2.0  # bytes of a page, s until it answers
 READABLE = 10.5  # px, least height of a figure's letters on a narrow page
-HIDDEN = "backlash:strut3:gap=2e-4"
-
-
-def rig(*words):
-    assert main([str(word) for word in words]) == 0, words
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """{kind: path} of pages as the commands write them; of those that take long to come to, as their writers do."""
-    if not SHARED.exists():
-        pytest.skip("needs the shared recordings beside the project")
-    at = tmp_path_factory.mktemp("project")
-    rig("new", at, "--defaults", "--radius", "300mm", "--cameras", "2", "--size", "640x512")
-    toml = at / "rig.toml"
-    rig("simulate", toml, "--plan", "sobol:30,ladder:1", "--seed", "7", "--effect", HIDDEN, "--out", at / "rec", "--truth", at / "secret.json")
-    rig("simulate", toml, "--machine", at / "secret.json", "--plan", "sobol:60", "--seed", "9", "--out", at / "second")
-    rig("simulate", toml, "--machine", at / "secret.json", "--plan", "sobol:5", "--seed", "3", "--images", "--blur", "0.5", "--out", at / "pictures")
-    rig("measure", at / "pictures", "--out", at / "measured")
-    rig("calibrate", at / "rec", "--out", at / "calibration.json")
-    rig("diagnose", at / "rec", "--only", "backlash", "--only", "scale_error", "--out", at / "found")
-    rig("verify", at / "calibration.json", at / "second", "--page", at / "verified.html")
-    rig("certify", at / "calibration.json", at / "second", "--coverage", "0.8", "--tolerance", "500um", "--out", at / "certificate.html")
-    rig("workspace", at / "calibration.json", "--out", at / "map")
-    rig("online", at / "rec", "--page", at / "online.html")
-    rig("plan", toml, "--for", "parameters", "--count", "9", "--out", at / "plan.csv", "--page", at / "plan.html")
-    rig("view", at / "rec", "--page", at / "view.html", "--effect", HIDDEN)
-    rig("lens", *(SHARED / "photos/charuco" / f"{name}.png" for name in ("01", "03", "05", "10", "11")), "--board",
-        "charuco:5x7:0.036195:0.018256:DICT_6X6_250", "--out", at / "lens")
-    assert main(["watch", str(at / "calibration.json"), str(at / "second"), "--page", str(at / "watch.html")]) in (0, 3)
+    at = tmp_path_factory.mktemp("project") / "project"
+    pages = project.quick(at)
     _made(at)
-    return {"measure": at / "measured/report.html", "calibrate": at / "calibration.html", "diagnose": at / "found/diagnosis.html",
-            "verify": at / "verified.html", "certify": at / "certificate.html", "workspace": at / "map/workspace.html", "index": at / "index.html",
-            "lens": at / "lens/lens.html", **{kind: at / f"{kind}.html" for kind in ("online", "plan", "view", "watch", "insitu", "blind",
-                                                                                     "investigate")}}
+    return pages | {kind: at / f"{kind}.html" for kind in ("insitu", "blind", "investigate")}
 
 
 def _made(at):
@@ -94,14 +66,11 @@ def served():
 
 @pytest.fixture(scope="module")
 def browser():
-    driver = pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
+    pytest.importorskip("playwright.sync_api", reason="needs the extra `browser`")
+    if pictures.chromium() is None:
         pytest.skip("needs Chromium: apt-get install chromium")
-    with driver.sync_playwright() as running:
-        opened = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    with pictures.browser() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")

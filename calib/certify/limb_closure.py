@@ -136,7 +136,7 @@ def held_out(limbs: Limbs, stated: MeasuringLimbs, lengths: np.ndarray) -> tuple
     """(error (n, k) m, sigma (n, k) m expected of it) of every check at every pose, by joints that were fitted to other stretches."""
     fold, count = blocks(len(lengths), FOLDS), len(stated.channels) - redundant.SIX
     error, sigma = np.zeros((len(lengths), count)), np.ones((len(lengths), count))
-    for k in np.unique(fold):
+    for k in np.unique(fold) if count else ():  # of six alone nothing is over to be checked
         found = _closures(limbs, fitted(limbs, stated, lengths[fold != k]), lengths[fold == k])
         error[fold == k], sigma[fold == k] = found.error, np.sqrt(np.einsum("nii->ni", found.covariance))
     return error, sigma

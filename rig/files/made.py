@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rig import remote
 from rig.errors import FileError
+from rig.schema import require
 
 MANIFEST = ".rig-made.json"
 SCHEMA = "made/1"
@@ -65,8 +66,7 @@ def load(folder: Path) -> Made:
     path = folder / MANIFEST
     try:
         tree = json.loads((remote.read(path) if remote.is_remote(path) else path.read_bytes()).decode("utf-8"))
-        if tree["schema"] != SCHEMA:
-            raise FileError(path, f'is no manifest that is known here: its schema is {tree["schema"]!r}, not "{SCHEMA}"')
+        require(path, "manifest of what was made in its folder", tree["schema"], (SCHEMA,))
         origin = tree["origin"] and Origin(str(tree["origin"]["command"]), tuple(map(str, tree["origin"]["arguments"])),
                                            tree["origin"]["complete"] is True, tuple(map(str, tree["origin"]["data"])))
         for name in tree["files"]:

@@ -110,7 +110,7 @@ def load(path: Path, settings: tuple[str, ...] = ()) -> Recipe:
     except (ValueError, RecursionError) as error:
         raise FileError(path, f"not valid TOML: {str(error) or 'nested too deep'}") from None
     root = Entries(tree, (), path, places)
-    root.text("schema", (SCHEMA,))
+    root.schema("recipe of an import", SCHEMA)
     _set(tree, settings)
     return _recipe(root, path.parent)
 

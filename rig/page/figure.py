@@ -71,8 +71,13 @@ def bars(title: str, names: Sequence[str], groups: Sequence[tuple[str, Sequence[
             long = (RIGHT - 60 - left) * values[k] / most if np.isfinite(values[k]) else 0.0
             parts.append(f'<rect class="fill {_colour(colour)}" x="{left:.1f}" y="{at + 12 * row:.1f}" width="{long:.1f}" height="10">'
                          f"{hover(f'{name}, {group}: {values[k]:.4g} {unit}')}</rect>")
-            parts.append(text(left + long + 4, at + 12 * row + 9, f"{values[k]:.3g}" if np.isfinite(values[k]) else "", style="small"))
+            parts.append(text(left + long + 4, at + 12 * row + 9, _plain(values[k]) if np.isfinite(values[k]) else "", style="small"))
     return svg(int(top + deep * len(names) + 4), f"{title}, {unit}", parts)
+
+
+def _plain(value: float) -> str:
+    """Three digits, all of those before the point."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def _axes(x: Scale, y: Scale, labels: tuple[str, str]) -> list[str]:

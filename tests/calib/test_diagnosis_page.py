@@ -128,7 +128,7 @@ def test_marks_are_on_the_parts_that_are_pointed_at(diagnosed):
     places = ["strut 3", "camera cam1", "marker 4", "target P2", "clock"]
     drawn = schematic(point, places)
     assert {int(c) for c in re.findall(r'class="outline marked c(\d)"', drawn)} == set(MARKS[:4])
-    assert re.findall(rf'class="said c{MARKS[0]}"[^>]*>([^<]*)<', drawn) == ["3"] and ">clock</text>" in drawn
+    assert re.findall(rf'class="said over c{MARKS[0]}"[^>]*>([^<]*)<', drawn) == ["3"] and ">clock</text>" in drawn
     assert "marked" not in schematic(point, []).replace("marked: nothing", "")
 
 

@@ -107,6 +107,15 @@ def test_pages_tell_enough_commands_for_that_to_mean_something():
     assert sum(len(told.commands(page)) for page in told.PAGES) > 60
 
 
+def test_every_page_that_commands_write_is_pictured():
+    code = [path.read_text(encoding="utf-8") for name in ("rig", "calib") for path in (ROOT / name).rglob("*.py")]
+    kinds = set(re.findall(r'Page\("(\w+)"', "".join(code)))
+    pictures = {path.stem: path.stat().st_size for path in (ROOT / "docs" / "pages").glob("*.webp")}
+    assert len(kinds) > 12 and set(pictures) == kinds | {"run", "index"}, "python -m docs.make.pictures"
+    page = (ROOT / "docs" / "pages.md").read_text(encoding="utf-8")
+    assert [name for name in pictures if f"](pages/{name}.webp)" not in page] == [] and sum(pictures.values()) < 2e6
+
+
 def test_all_commands_are_on_the_page_of_commands():
     page = commands.page()
     assert [name for name in COMMANDS if f"\n## rig {name}\n" not in page] == []

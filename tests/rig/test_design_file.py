@@ -26,7 +26,7 @@ def test_a_whole_rig_is_read(design):
 
 
 @pytest.mark.parametrize("old, new, says", [
-    ('schema = "rig/1"', 'schema = "rig/2"', "'rig/1'"),
+    ('schema = "rig/1"', 'schema = "rig/2"', "written by a newer rig"), ('schema = "rig/1"', 'schema = "robot/1"', "is no rig.toml"),
     ('kind = "hexapod"', 'kind = "hexpod"', "hexpod"),
     ('kind = "hexapod"', "kind = 6", "must be text"),
     ("distortion", "distorsion", "'distortion' meant"),

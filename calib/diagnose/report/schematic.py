@@ -59,7 +59,7 @@ class Outline:
             parts.append(f'<path class="{style}{marked}" d="{d}">{hover(said) if said else ""}</path>')
         for point, words, colour in self._words:
             x, y = placed(point).tolist()
-            parts.append(text(x, y + 4, words, "middle", f"said c{colour}" if colour != PLAIN else "small"))
+            parts.append(text(x, y + 4, words, "middle", f"said over c{colour}" if colour != PLAIN else "small over"))
         parts += [text(6, 16 + 17 * n, words, "start", f"said c{colour}") for n, (words, colour) in enumerate(more)]
         return svg(int(tall + 2 * MARGIN), title, parts)
 

@@ -53,6 +53,14 @@ def test_checks_close_on_stretches_left_out_by_as_much_as_is_said(machine, limbs
     assert np.abs(stated.error).max() > 20 * np.abs(error).max()  # there was something to fit
 
 
+def test_of_six_limbs_none_is_over_to_be_checked(machine):
+    _, true, read, _ = machine
+    stated = design_file.design_of(design_file.entries_of(layout.layout(0.3, limbs=6), "rig.toml")).insitu
+    six = insitu.Limbs(insitu.stated(true, np.arange(6)), 1e-14 * np.eye(42), np.full(6, 1e-6), np.arange(6))
+    error, sigma = limb_closure.held_out(six, stated, read[:, :6])
+    assert error.shape == sigma.shape == (60, 0)
+
+
 @pytest.mark.parametrize("which", ["chosen", "check"])
 def test_a_limb_that_slips_is_named_by_the_others_within_five_poses(machine, limbs, which):
     _, _, read, _ = machine
