@@ -1,5 +1,7 @@
 """Between hypotheses: what a parameter costs, what a refit tells that a scan does not, names that give way, temperatures nobody logged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,18 @@ def test_such_an_effect_is_a_rival_at_its_own_place(tmp_path, design, text, alik
     found = diagnose(rec, only=[alike, name])
     sets = [[(a.score.candidate.name, a.score.candidate.place) for a in f.alternatives] for f in found.selection.findings]
     assert found.effects[0].name == alike and (name, place.replace("strut", "strut ")) in sets[0]
+
+
+@pytest.mark.slow
+def test_an_effect_of_a_temperature_that_drowns_in_its_log_is_among_its_alternatives(tmp_path, design):
+    rec = recorded(tmp_path, design, ["thermal_expansion:strut4:coefficient=2.4e-5"], route="sobol:50,ladder:2,sobol:60", noise=0.015)
+    t, name = np.linspace(0, rec.sensors.t[-1], 9), "strut4_temperature_C"
+    channels = {channel: rec.sensors.at(t, channel) for channel in rec.sensors.channels}
+    noisy = channels[name] + np.ptp(channels[name]) * np.array([1, -1, 0.5, -0.5, 0.2, -1, 0.8, -0.5, 0.5])
+    channels[name] = noisy - np.polyval(np.polyfit(t, noisy, 1), t) + 20.5  # not even the slope shows
+    finding, = diagnose(replace(rec, sensors=replace(rec.sensors, t=t, channels=channels)), only=["thermal_expansion", "warm_up"]).selection.findings
+    named = [(c.name, c.place) for c in (finding.score.candidate, *(a.score.candidate for a in finding.alternatives))]
+    assert named[0] == ("warm_up", "strut 4") and ("thermal_expansion", "strut 4") in named
 
 
 SLOWLY = "sobol:20,wait:15,sobol:20"

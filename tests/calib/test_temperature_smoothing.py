@@ -29,6 +29,20 @@ def test_a_smooth_temperature_loses_most_of_its_noise():
     assert after < 0.45 * before and before == pytest.approx(0.03, rel=0.05)
 
 
+@pytest.mark.parametrize("seconds", [180, 330])
+def test_a_short_log_is_a_line_rather_than_its_noise(seconds):
+    errors, stated = [], []
+    for seed in range(40):
+        true, log = temperatures(seconds, np.random.default_rng(seed))
+        kept, off = smoothed(log)
+        for name in off:
+            errors.append([np.mean((s.channels[name] - true.channels[name]) ** 2) for s in (log, kept)])
+            stated.append(np.mean(np.sum(off[name] ** 2, axis=1)))
+    before, after = np.sqrt(np.mean(errors, axis=0))
+    assert len(errors) > 0.9 * 40 * 7 and after < 0.6 * before
+    assert np.mean(stated) > 0.5 * after**2
+
+
 @pytest.mark.parametrize("name", ["ambient_temperature_C", "payload_mass_kg"])
 def test_what_is_not_smooth_stays(name):
     t = np.arange(100) * 30.0

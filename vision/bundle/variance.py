@@ -155,5 +155,7 @@ def _inverse(M: np.ndarray) -> np.ndarray:
     factor, bad = dpotrf(M, lower=1, clean=1)
     if bad:
         raise np.linalg.LinAlgError(f"the information of {len(M)} numbers on prints, noise added, is not positive definite")
-    below, _ = dpotri(factor, lower=1)
-    return np.tril(below) + np.tril(below, -1).T
+    below, _ = dpotri(factor, lower=1)  # what is above the diagonal is nought, as `clean` has left it
+    whole = below + below.T
+    whole[np.diag_indices_from(whole)] = below.diagonal()
+    return np.asarray(whole)

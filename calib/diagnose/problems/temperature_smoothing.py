@@ -8,18 +8,21 @@ import scipy
 
 from rig.recording import Sensors
 
-KNOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # stretches of a spline that are tried
-ROWS = 4  # of the log for each stretch, at least
+DEGREES = (1, 2)  # of the plainest courses: a temperature has at least a slope, and a log too short to show it still bounds it
+KNOTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # stretches of a cubic spline that are tried beyond these
+ROWS = 4  # of the log for each stretch, and beyond what a course takes, at least
 ALIKE = 3.0  # standard errors by which what is taken for noise may follow its neighbour
 FAR = 8.0  # times its middle size that noise may reach
 
 
 def smoothed(sensors: Sensors | None) -> tuple[Sensors | None, dict[str, np.ndarray]]:
-    """(Sensors, {channel: (n, q) K}): each temperature's cubic spline, of as many stretches as Schwarz's criterion grants, in place of its log, and
-    the spline's own errors as q directions of one standard deviation each.
+    """(Sensors, {channel: (n, q) K}): each temperature's line, parabola or cubic spline, of as many stretches as Schwarz's criterion grants, in
+    place of its log, and its errors as q directions of one standard deviation each: those of the next course, since what the criterion did not
+    grant may be there as far as noise hides it.
 
     A log that is not smooth with white noise on it stays as it is, and so do all other channels. sensors : Sensors or None, for which (None, {})
-    is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464
+    is returned. Source of the criterion: Schwarz, Annals of Statistics 6, 1978, 461-464; for few rows McQuarrie, Statistics and Probability
+    Letters 44, 1999, 79-86
     """
     if sensors is None:
         return None, {}
@@ -46,23 +49,32 @@ def _joined(values: np.ndarray, parts: list[slice], found: list[tuple[np.ndarray
 
 def _smooth(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """(curve (n,), errors (n, q)) of a log (n,), or None where there is no saying what of it is noise."""
-    counts = [count for count in KNOTS if count * ROWS + ROWS <= len(t)]
-    if len(counts) < 2 or (np.diff(t) <= 0).any() or np.ptp(values) == 0:
+    courses = _courses(t)
+    if len(courses) < 2 or (np.diff(t) <= 0).any() or np.ptp(values) == 0:
         return None
-    best: tuple[float, int, np.ndarray, np.ndarray] | None = None
-    for count in counts:
-        inner = np.interp(np.linspace(0, len(t) - 1, count + 1)[1:-1], np.arange(len(t)), t)
-        basis = scipy.interpolate.BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray()
-        Q = np.linalg.qr(basis)[0]
+    tried = []
+    for Q in courses:
         noise = values - Q @ (Q.T @ values)
-        criterion = len(t) * np.log(np.mean(noise**2) + 1e-300) + Q.shape[1] * np.log(len(t))
-        if best is None or criterion < best[0]:
-            best = criterion, count, noise, Q
-    if best is None:
-        return None
-    _, count, noise, Q = best
+        tried.append((len(t) * np.log(np.mean(noise**2) + 1e-300) + _price(len(t), Q.shape[1]), noise))
+    best = min(range(len(tried)), key=lambda i: tried[i][0])
+    noise, Q = tried[best][1], courses[best]
     follows = abs(noise[1:] @ noise[:-1]) > ALIKE / np.sqrt(len(t)) * (noise @ noise)
     wild = np.abs(noise).max() > FAR * np.median(np.abs(noise))
-    if follows or wild or count == counts[-1]:
+    if follows or wild or best == len(courses) - 1:
         return None
-    return values - noise, Q * np.sqrt(noise @ noise / (len(t) - Q.shape[1]))
+    return values - noise, courses[best + 1] * np.sqrt(noise @ noise / (len(t) - Q.shape[1]))
+
+
+def _price(rows: int, numbers: int) -> float:
+    """Of a course's numbers, as minus twice a logarithm: Schwarz's, corrected for few rows."""
+    return rows * np.log(rows) * numbers / (rows - numbers - 2)
+
+
+def _courses(t: np.ndarray) -> list[np.ndarray]:
+    """Orthonormal bases (n, q) of the courses that a log at times (n,) s bears, the plainest first."""
+    plain = [np.vander((t - t[0]) / max(np.ptp(t), 1e-300), degree + 1) for degree in DEGREES if degree + 1 + ROWS <= len(t)]
+    splines = []
+    for count in (count for count in KNOTS if count * ROWS + ROWS <= len(t)):
+        inner = np.interp(np.linspace(0, len(t) - 1, count + 1)[1:-1], np.arange(len(t)), t)
+        splines.append(scipy.interpolate.BSpline.design_matrix(t, np.r_[[t[0]] * 4, inner, [t[-1]] * 4], 3).toarray())
+    return [np.linalg.qr(basis)[0] for basis in plain + splines]

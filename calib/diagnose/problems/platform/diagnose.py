@@ -22,7 +22,7 @@ from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
-from calib.diagnose.problems.platform.temperatures import unlogged, widened
+from calib.diagnose.problems.platform.temperatures import widened, with_temperatures
 from calib.certify.calibration import Calibration
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.pipeline import Sampled
@@ -116,7 +116,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
         selection = supported(problem, selection, left)
         left = problem.lack_of_fit(problem.residual(selection.fit))
     selection, left, remarks = set_apart(problem, selection, left)
-    selection = unlogged(problem, selection)
+    selection = with_temperatures(problem, selection)
     suggested = tuple(suggestions(problem, selection.fit, left, progress))
     selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined)))
     refined = selection.fit.refined
