@@ -1,5 +1,6 @@
 """The package as others get it: licences of all that it needs, its own files, and (slow) the wheel in a fresh environment."""
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from importlib import metadata
 
 import pytest
 
+from rig.cli import main
 from tests.conftest import ROOT
 
 ALLOWED = re.compile(r"\b(MIT|BSD|0BSD|Apache|LGPL\w*|GNU Lesser General Public|MPL|Mozilla Public|PSF|Python Software Foundation|"
@@ -69,6 +71,26 @@ def test_direct_needs_stand_in_the_table_of_licences():
     text = (ROOT / "CONTRIBUTING.md").read_text()
     direct = [re.match(r"[\w.-]+", need)[0] for need in metadata.requires("rig") if "extra" not in need]
     assert [name for name in direct if name not in text] == []
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """An installation without the extra `print`."""
+    there = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest))
+
+
+def test_what_is_drawn_on_paper_says_what_to_install(plain, tmp_path, capsys):
+    rig = ROOT / "tests" / "data" / "bench" / "check" / "rig.toml"
+    for words in (("print", rig, "--out", tmp_path / "sheets.pdf"), ("certify", "cal.json", "rec", "--out", tmp_path / "certificate.pdf")):
+        assert main(list(map(str, words))) == 1
+        assert "drawn by matplotlib: pip install 'rig[print]'" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_only_what_is_drawn_on_paper_needs_matplotlib():
+    found = {str(path.relative_to(ROOT)) for package in ("rig", "vision", "calib", "synthetic") for path in (ROOT / package).rglob("*.py")
+             if re.search(r"^\s*(from|import) matplotlib", path.read_text(encoding="utf-8"), re.MULTILINE)}
+    assert found == {f"synthetic/{name}.py" for name in ("sheets", "sheet_marks", "assembly")} | {"calib/statement/pdf.py", "rig/posture/drawing.py"}
 
 
 def test_decisions_are_listed():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import SEED, Progress, add_force, add_result, file_or_stdout, near, print_unsolved, read_recording
+from rig.commands.output import (SEED, Progress, add_force, add_result, file_or_stdout, near, no_drawing, print_unsolved, read_recording,
+                                 require_drawing)
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
-                        help="certificate.html, .json, .json, .pdf or .xml (a digital calibration certificate); without a suffix a folder with all")
+                        help="certificate.html, .json, .pdf or .xml (a digital calibration certificate); without a suffix a folder with all")
     parser.add_argument("--tolerance", metavar="T", type=tolerance, nargs="+", default=[], help="to accept or refuse against, as 20um or 50urad")
     parser.add_argument("--coverage", metavar="SHARE", type=share, default=0.95, help="of poses that the promise is about (0.95)")
     parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
@@ -86,6 +88,8 @@ def run(arguments: Namespace) -> None:
     suffix = arguments.out.suffix
     if suffix not in (*KINDS, ""):
         raise RigError(f"{arguments.out}: a certificate is written as {', '.join(KINDS)}, or to a folder with all of them")
+    if suffix == ".pdf":
+        require_drawing("certificates as PDF")
     progress = Progress()
     progress("reading the calibration", 0, 1)
     from calib import store
@@ -104,13 +108,16 @@ def run(arguments: Namespace) -> None:
     made = certified(calibration, held, wanted, provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
                      np.random.default_rng(SEED))
     progress.close()
-    places = [whole / f"certificate{kind}" for kind in KINDS] if suffix == "" else [whole]
+    left_out = no_drawing() if suffix == "" else None
+    places = [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
     for place in places:
         _write(place, place.suffix, made, arguments)
     _say(made)
     for _, sampled in held:
         print_unsolved(sampled.measurement)
     arguments.result = tree.tree(made)
+    if left_out:
+        print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
     print(f"written: {arguments.out}")
 
 

@@ -6,7 +6,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands.output import numbers
+from rig.commands.output import numbers, require_drawing
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def drawn(q: np.ndarray, arm: Arm, exertion: Exertion) -> str:
     """SVG of what a posture q (n,) rad can exert. Raises RigError where it cannot hold its own weight"""
     import numpy as np
 
+    require_drawing("pictures of postures")
     from rig.posture import drawing
     from rig.posture import exertion as of
 

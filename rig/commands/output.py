@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands.progress_shown import Progress
-from rig.errors import RigError
+from rig.errors import MissingLibrary, RigError
 from rig.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from vision.measure import Measurement
 
 __all__ = ["SEED", "Progress", "add_driving", "add_force", "add_json", "add_page", "add_port", "add_recording", "add_recordings", "add_result",
-           "file_or_stdout", "length", "near", "numbers", "place_of_page", "print_comparison", "print_json", "print_unsolved", "read_recording"]
+           "file_or_stdout", "length", "near", "no_drawing", "numbers", "place_of_page", "print_comparison", "print_json",
+           "print_unsolved", "read_recording", "require_drawing"]
 
 SEED = 0  # of the bootstrap; results are the same from run to run
 
@@ -160,6 +161,20 @@ def print_comparison(held: HeldOut, title: str) -> None:
 
 def _cell(value: float) -> str:
     return f"{value * 1e3:10.4f}" if value == value else f"{'-':>10}"
+
+
+def require_drawing(what: str) -> None:
+    """Raise MissingLibrary where that which draws PDF and pictures is not installed. what : is to be drawn, in the plural"""
+    problem = no_drawing()
+    if problem:
+        raise MissingLibrary(f"{what} {problem}")
+
+
+def no_drawing() -> str | None:
+    """Why no PDF and pictures can be drawn, in words that follow theirs; None where they can."""
+    from importlib.util import find_spec
+
+    return None if find_spec("matplotlib") else "are drawn by matplotlib: pip install 'rig[print]'"
 
 
 def print_unsolved(measured: Measurement | None) -> None:

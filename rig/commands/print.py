@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands.output import add_force, file_or_stdout, length
+from rig.commands.output import add_force, file_or_stdout, length, require_drawing
 
 if TYPE_CHECKING:
     from rig.design import Design
@@ -26,6 +26,7 @@ def run(arguments: Namespace) -> None:
     """Write the sheets, and the bodies where they are asked for."""
     from rig import design_file
 
+    require_drawing("sheets to print")
     design = design_file.load(arguments.design)
     out = arguments.outputs.file(arguments.out)
     folder = arguments.outputs.folder(arguments.stl) if arguments.stl else None

@@ -1,5 +1,6 @@
 """A certificate from simulated recordings: what it promises is so, what it refuses, and what is written keeps its schema."""
 
+import importlib.util
 import io
 import json
 import shutil
@@ -83,6 +84,14 @@ def test_the_certificate_keeps_its_published_schema(held):
     for key, value in (("machine", "lathe"), ("promise", {}), ("more", 1)):
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate({**held.tree, key: value}, schema)
+
+
+@pytest.mark.slow
+def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, monkeypatch):
+    there = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else there(name, *rest))
+    rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "plain")
+    assert {path.name for path in (held.folder / "plain").glob("cert*")} == {f"certificate.{kind}" for kind in ("json", "html", "xml")}
 
 
 def test_the_promise_is_so(held, design):
