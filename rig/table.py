@@ -102,7 +102,8 @@ def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] 
     Raises FileError: no file, no header, a column missing, twice given or misspelt, a row of another length, no rows.
     """
     path = Path(path)
-    reader = csv.reader(StringIO(read_text(path), newline=""))
+    text = read_text(path)
+    reader = csv.reader(StringIO(text, newline=""))
     try:
         header = _header(path, next(reader, ()), required, optional)
         rows, lines = [], []
@@ -110,7 +111,8 @@ def read(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] 
             if not (row and row[0].strip()) and not any(cell.strip() for cell in row):
                 continue
             if len(row) != len(header):
-                raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns", reader.line_num,
+                torn = len(row) < len(header) and reader.line_num == text.count("\n") + 1  # the last line, and it does not end
+                raise FileError(path, f"{len(row)} cells in a table of {len(header)} columns{' (cut off?)' if torn else ''}", reader.line_num,
                                 min(len(row), len(header)) or None)
             rows.append(row)
             lines.append(reader.line_num)

@@ -27,7 +27,9 @@ def test_a_rig_can_be_designed_simulated_and_measured(tmp_path):
 
 
 @pytest.mark.parametrize("extra, says", [
-    (("--plan", "sobl"), "no part 'sobl'"), (("--effect", "backlsh:3"), "'backlash' meant"), (("--noise", "-1"), "at least 0 and at most 1000 px"),
+    (("--plan", "sobl"), "no part 'sobl'"), (("--effect", "backlsh:3"), "'backlash' meant"),
+    (("--effect", "compliance:rig"), "at rig has no size and would change nothing: write compliance:rig:stiffness=.., from 1e+06 to 1e+08 N/m"),
+    (("--noise", "-1"), "at least 0 and at most 1000 px"),
     (("--images", "--effect", "edge_bias:cameras:bias=0.1"), "not drawn"), (("--images", "--bits", "10"), "8 or 12"),
     (("--machine", "nowhere.json"), "no such file"),
 ])

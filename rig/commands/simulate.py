@@ -51,14 +51,14 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Simulate a recording and write it, and its truth apart."""
     from rig import design_file
-    from rig.effects.parse import parse, placed
+    from rig.effects.parse import parse, placed, sized
 
     if arguments.source is not None:
         return _again(arguments)
     if arguments.design is None:
         raise RigError("simulating takes a RIG.toml, or --from with the folder of a diagnosis")
     design, kinds = design_file.load(arguments.design), own_effects.known(own_effects.plugins(arguments))
-    effects = tuple(placed(parse(text, kinds), design) for text in arguments.effect)
+    effects = tuple(sized(placed(parse(text, kinds), design)) for text in arguments.effect)
     sensor = replace(design.sensor, **{name: getattr(arguments, name) for name in SENSOR if getattr(arguments, name) is not None})
     _check(arguments, sensor)
     if design.instrument is None and not (design.cameras and design.targets):

@@ -59,9 +59,9 @@ def _frame(arguments: Namespace) -> None:
 
 
 def _page(arguments: Namespace) -> None:
-    from rig.effects.parse import parse
+    from rig.effects.parse import parse, sized
 
-    recording, effects = read_recording(arguments), [parse(text) for text in arguments.effect]
+    recording, effects = read_recording(arguments), [sized(parse(text)) for text in arguments.effect]
     out = arguments.outputs.file(arguments.page)
 
     from calib.pages.viewed import viewed_page

@@ -95,9 +95,20 @@ def from_dict(tree: dict, known: Kinds = BY_NAME) -> Effect:
 def _named(name: str, text: str, known: Kinds) -> type[Effect]:
     if name not in known:
         near = slip(name, known)
-        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}{f'; is {near!r} meant?' if near else ''}; there are "
-                       f"{', '.join(known)}; of your own, those in files that --effects names")
+        every = f"there are {', '.join(known)}; of your own, those in files that --effects names"
+        told = f"is {near!r} meant? `rig effects` lists them" if near else every
+        raise RigError(f"effect {shown(text)}: there is no effect {shown(name)}; {told}")
     return known[name]
+
+
+def sized(effect: Effect) -> Effect:
+    """The effect itself. Raises RigError for one whose parameters are all as where there is none."""
+    if effect.parameters and effect == type(effect)(effect.place):
+        p = effect.parameters_at(effect.place)[0]
+        usual = f", from {p.usual[0]:g} to {p.usual[1]:g}{f' {p.unit}' if p.unit else ''} where rigs show it" if p.role != "choice" else ""
+        raise RigError(f"effect {effect.name} at {effect.place} has no size and would change nothing: write "
+                       f"{effect.name}:{effect.place.replace(' ', '')}:{p.name}=..{usual}")
+    return effect
 
 
 def asked(text: str, design: Design, known: Kinds = BY_NAME) -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig import observed, recording, writing
+from rig import observed, recording, table, writing
 from rig.errors import FileError, RigError
 from rig.masking import masked
 from rig.pose import difference, pose
@@ -53,6 +53,15 @@ def test_a_sound_recording_is_read(recording_folder):
     frames, t, commanded = found.commanded()
     assert frames.tolist() == list(range(6)) and commanded.shape == (6, 6) and (np.diff(t) > 0).all()
     assert found.corners.uv.shape[1] == 2 and found.poses is None and not found.has_images
+
+
+def test_a_last_row_that_does_not_end_is_said_to_be_cut_off(tmp_path):
+    path = tmp_path / "table.csv"
+    for text, says in (("a,b\n1,2\n3", "1 cells in a table of 2 columns (cut off?)"), ("a,b\n1\n3,4\n", "1 cells in a table of 2 columns")):
+        path.write_text(text)
+        with pytest.raises(FileError) as refused:
+            table.read(path, ("a", "b"))
+        assert str(refused.value).endswith(says)
 
 
 @pytest.mark.parametrize("file, change, line, column, says", [
