@@ -102,7 +102,7 @@ def test_what_opencv_reads_is_read_at_the_same_pixels(design, name):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_what_opencv_reads_is_read_at_the_same_pixels_in_every_family(design, name):
     rng = np.random.default_rng(2)
-    assert sum(compared(design, rng, name, 60, *size) for size in ((640, 480), (1280, 1024))) > 200
+    assert sum(compared(design, rng, name, 60, *size) for size in ((640, 480), (1280, 1024))) > 100
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -146,7 +146,7 @@ def test_a_code_is_told_however_it_lies_and_with_as_many_errors_as_are_corrected
 
 def test_of_one_place_the_largest_is_read_first_and_what_the_border_may_cut_off_is_not():
     at = np.array([[0, 0], [70, 0], [70, 70], [0, 70]])
-    inset = 35 + (at - 35) * 60 // 70
+    inset = 35 + (at - 35) * 50 // 70
     quads = np.array([inset + 50, at + 50, at + [200, 50], at + [1, 200], at + [50, 51]], np.int32)
     first, tries, starts = candidates(quads, (300, 400), 7)
     np.testing.assert_array_equal(first[tries[:2]], quads[[1, 0]])  # the fifth is the second's, a pixel off
