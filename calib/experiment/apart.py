@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.experiment.foretold import PerFrame, per_frame
-from calib.experiment.hypotheses import Question
+from calib.experiment.question import PerFrame, Question
 from rig.configurations import grid, low_discrepancy
 from rig.design import Design
 from rig.errors import RigError
@@ -28,7 +27,7 @@ def apart(asked: Sequence[Question], design: Design, count: int, seed: int) -> n
     strokes = strokes_of(design)
     pool = np.concatenate([low_discrepancy(strokes, POOL, seed=seed), grid(strokes, 2)])
     plan = build(design, "pool", own={"pool": pool})
-    return pool[chosen([per_frame(q, plan) for q in open_ones], count)]
+    return pool[chosen([q.per_frame(plan) for q in open_ones], count)]
 
 
 def chosen(questions: Sequence[PerFrame], count: int) -> np.ndarray:
@@ -57,7 +56,7 @@ def cameras(asked: Sequence[Question], plan: Plan) -> dict[str, float]:
     instrument measures."""
     parts: dict[str, float] = {}
     for question in asked:
-        for name, squares in (per_frame(question, plan).by_camera if len(question.named) > 1 else {}).items():
+        for name, squares in (question.per_frame(plan).by_camera if len(question.named) > 1 else {}).items():
             parts[name] = parts.get(name, 0.0) + float(squares.sum())
     whole = max(sum(parts.values()), 1e-300)
     return dict(sorted(((name, part / whole) for name, part in parts.items()), key=lambda item: -item[1]))

@@ -6,10 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.diagnose.problems.platform.temperatures import WARM
 from calib.experiment.apart import NAME, apart
-from calib.experiment.foretold import foretold
-from calib.experiment.hypotheses import Question
+from calib.experiment.question import Question
 from calib.experiment.record import SETTING_UP
 from calib.experiment.worth import Worth, worth
 from rig.cubes import to_do, turned
@@ -129,6 +127,5 @@ def evaluate(asked: Sequence[Question], design: Design, text: str, seed: int, ow
 def _worth(question: Question, plan: Plan) -> Worth:
     """Worth of a plan for one question; where a hypothesis follows a temperature, over days as warm as the first recording's and others."""
     odds, behind = (np.array([getattr(h, name) for h in question.hypotheses]) for name in ("odds", "by_data"))
-    follows = any(type(h.fitted.point.effects[h.number]) in WARM for h in question.named)
-    found = [worth(odds, foretold(question, plan, warmer), behind) for warmer in (DAYS if follows else (0.0,))]
+    found = [worth(odds, question.foretold(plan, warmer), behind) for warmer in (DAYS if question.warm else (0.0,))]
     return Worth(*(float(np.mean([getattr(one, name) for one in found])) for name in ("bits", "settles", "right")))

@@ -18,37 +18,16 @@ from calib.diagnose.problems.platform.linearised import LinearisedModel, lineari
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, seats_of
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
-from calib.diagnose.report.schema import UNKNOWN
-from calib.experiment.hypotheses import Hypothesis, Question, beforehand
+from calib.diagnose.problems.platform.temperatures import WARM
+from calib.experiment.question import Foretold, Hypothesis, PerFrame, Question, with_foreign
 from calib.experiment.there import as_found, course, latest, poses, standing, there
 from rig import mechanisms
 from rig.effects.base import Effect
+from rig.effects.coordinate import Coordinate
 from rig.plan import Plan
 from rig.tolerances import SEAT
 
 WEAK = 1e-12  # of the greatest eigenvalue; directions below are none
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Foretold:
-    """Of h hypotheses on r directions. means : (h, r); covariances : (h, r, r), the noise's own 1 included
-    cosines : (h, h) between what they do, over all recordings with this one, nuisances taken out"""
-
-    means: np.ndarray
-    covariances: np.ndarray
-    cosines: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PerFrame:
-    """What each of a plan's F exposures tells between two hypotheses, in units of noise. of (F,) : squares of what they do otherwise
-    onto (F, p) : that on what both leave open; open (F, p, p) : squares of what is left open, which is p numbers of variance 1 beforehand
-    by_camera : {name: (F,) squares of how otherwise its image looks, its corners' noise 1}; none where an instrument measures"""
-
-    of: np.ndarray
-    onto: np.ndarray
-    open: np.ndarray
-    by_camera: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +44,22 @@ class _Seen:
     shapes: list[Column]
 
 
-def foretold(question: Question, plan: Plan, warmer: float = 0.0) -> Foretold:
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformQuestion(Question[Refined]):
+    """Of a platform on struts."""
+
+    @property
+    def warm(self) -> bool:
+        return any(type(h.fitted.point.effects[h.number]) in WARM for h in self.named)
+
+    def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
+        return foretold(self, plan, warmer)
+
+    def per_frame(self, plan: Plan) -> PerFrame:
+        return per_frame(self, plan)
+
+
+def foretold(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> Foretold:
     """Foretold of a question's hypotheses under a plan. warmer : K, than it was in the first recording
     Raises RigError where the rig as found cannot follow it, or no camera sees some of it
     """
@@ -85,15 +79,12 @@ def foretold(question: Question, plan: Plan, warmer: float = 0.0) -> Foretold:
         known = _known(fit, model)
         covariances.append(spread @ known @ spread.T + np.eye(len(spread)))
     cosines = _cosines(named, fits, model, parts[-1], nuisances)
-    return _with_foreign(question, means, np.array(covariances), cosines, parts[-1])
+    return with_foreign(question, Foretold(means, np.array(covariances), cosines), parts[-1])
 
 
-def per_frame(question: Question, plan: Plan) -> PerFrame:
+def per_frame(question: PlatformQuestion, plan: Plan) -> PerFrame:
     """PerFrame of a question's two likeliest names. Raises what `foretold` raises, and ValueError for a question of one name"""
-    likeliest = sorted(question.named, key=lambda h: -h.odds)[:2]
-    if len(likeliest) < 2:
-        raise ValueError("a question of one name has nothing to tell apart")
-    seen = _seen(replace(question, hypotheses=tuple(likeliest)), plan)
+    seen = _seen(replace(question, hypotheses=question.likeliest), plan)
     model, F = seen.model, len(plan.t)
     P = np.linalg.pinv(model.nuisances.solve)
     values, vectors = np.linalg.eigh(_known(seen.fits[0], model))
@@ -120,11 +111,11 @@ def _by_camera(model: LinearisedModel, other: OperatingPoint) -> dict[str, np.nd
     return {model.point.design.cameras[i].name: np.bincount(frame[camera == i], squares[camera == i], model.frames) for i in np.unique(camera)}
 
 
-def _seen(question: Question, plan: Plan, warmer: float = 0.0) -> _Seen:
+def _seen(question: PlatformQuestion, plan: Plan, warmer: float = 0.0) -> _Seen:
     named = question.named
     fits = [h.fitted for h in named]
     point = standing(latest(fits[0].point), plan)
-    sensors = course(point, plan, warmer)
+    sensors = course(point.sensors, plan, warmer)
     runs = [poses(fit, point.design, plan, sensors) for fit in fits]
     here = there(point, fits[0], plan, sensors, runs[0])
     model = linearise(here)
@@ -140,19 +131,6 @@ def _seen(question: Question, plan: Plan, warmer: float = 0.0) -> _Seen:
         moved.append(_between(model, here, other))
         shapes.append(change(at, _without(fit.point.effects, h.number)))
     return _Seen(fits, model, other, columns, moved, shapes)
-
-
-def _with_foreign(question: Question, means: np.ndarray, covariances: np.ndarray, cosines: np.ndarray, shapes: np.ndarray) -> Foretold:
-    """Foretold with what is in no catalogue, last: as the first name foretells, but for anything as large as what was found, where names differ."""
-    if question.hypotheses[-1].name != UNKNOWN:
-        return Foretold(means, covariances, cosines)
-    size = float(np.linalg.norm(shapes[:, 0]))
-    axes = np.linalg.svd(np.concatenate([shapes, means.T], axis=1), full_matrices=False)[0]
-    foreign = covariances[0] + size**2 / axes.shape[1] * axes @ axes.T
-    h = len(means)
-    wide = np.zeros((h + 1, h + 1))
-    wide[:h, :h] = cosines
-    return Foretold(np.concatenate([means, means[:1]]), np.concatenate([covariances, foreign[None]]), wide)
 
 
 def _between(model: LinearisedModel, here: OperatingPoint, other: OperatingPoint) -> Column:
@@ -206,7 +184,8 @@ def _known(fit: Refined, new: LinearisedModel) -> np.ndarray:
     return covariance[np.ix_(at, at)]
 
 
-def _cosines(named: Sequence[Hypothesis], fits: Sequence[Refined], new: LinearisedModel, shapes: np.ndarray, nuisances: np.ndarray) -> np.ndarray:
+def _cosines(named: Sequence[Hypothesis[Refined]], fits: Sequence[Refined], new: LinearisedModel, shapes: np.ndarray,
+             nuisances: np.ndarray) -> np.ndarray:
     """(h, h) cosines between what the hypotheses do in all recordings so far and the new one, cameras and geometry taken out of all together."""
     model = fits[0].model
     own = joined([Column(change(replace(model, point=model.point.with_effects(fit.point.effects)), _without(fit.point.effects, h.number)).parts)
@@ -227,3 +206,14 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     """(p, p) pseudo-inverse of information (p, p) whose numbers are of different units: scaled to a diagonal of ones first."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return np.linalg.pinv(information * scale[:, None] * scale, rcond=1e-13, hermitian=True) * scale[:, None] * scale
+
+
+def beforehand(coordinates: list[Coordinate], effects: tuple[Effect, ...]) -> np.ndarray:
+    """(c,) standard deviations of coordinates by what rigs show, so that what no data hold stays within reason."""
+    out = []
+    for c in coordinates:
+        parameter = next(p for p in effects[c.effect].parameters_at(effects[c.effect].place) if p.name == c.name)
+        low, high = parameter.usual
+        wide = {"log": np.log(high / low) if low > 0 else 1.0, "phase": np.pi, "inverse": 1 / low if low > 0 else 1.0}
+        out.append(wide.get(c.role, 3 * max(abs(low), abs(high))))
+    return np.array(out)

@@ -40,9 +40,8 @@ def standing(point: OperatingPoint, plan: Plan) -> OperatingPoint:
     return replace(point, design=replace(point.design, targets=tuple(targets)))
 
 
-def course(point: OperatingPoint, plan: Plan, warmer: float) -> Sensors | None:
-    """The log of a recording that is not there yet: temperatures run as in the first one, so many K warmer, the payload as the plan has it."""
-    log = point.sensors
+def course(log: Sensors | None, plan: Plan, warmer: float) -> Sensors | None:
+    """The log of a recording that is not there yet: temperatures run as in the first one's log, so many K warmer, the payload as the plan has it."""
     if log is None:
         return logged(plan, Sensors(np.array([0.0, plan.commands.t[-1]]), {})) if (plan.payload[:, 1] > 0).any() else None
     end = np.searchsorted(log.t, log.starts[0]) if len(log.starts) else len(log.t)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from calib.diagnose.engine.policy import PLATFORM
-from calib.experiment.foretold import Foretold
+from calib.experiment.question import Foretold
 
 DRAWS = 400  # outcomes that are looked at
 SEED = 0

@@ -117,8 +117,6 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
-    if arguments.next is not None:
-        raise RigError("--next foretells experiments of platforms on struts; of an arm, rig plan --separate tries plans on two effects")
     if known.calibration is not None:
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
@@ -126,6 +124,10 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     report = arm.report(found)
     arm.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
+    if arguments.next is not None:
+        from calib.experiment.of_arms import arm_questions
+
+        experimenting.write_next(arguments, arm_questions(found), recording.design, out, progress)
     return report
 
 
@@ -142,7 +144,9 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     platform.save(out, found, recording)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
-        experimenting.write_next(arguments, found, recording.design, out, progress)
+        from calib.experiment.hypotheses import questions
+
+        experimenting.write_next(arguments, questions(found), recording.design, out, progress)
     return report
 
 

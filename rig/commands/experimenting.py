@@ -12,9 +12,8 @@ from rig.commands.output import SEED, Progress
 from rig.errors import RigError
 
 if TYPE_CHECKING:
-    from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
     from calib.experiment.choose import Experiment
-    from calib.experiment.hypotheses import Question
+    from calib.experiment.question import Question
     from rig.design import Design
 
 SHOWN = 4  # plans that are compared in words
@@ -59,19 +58,17 @@ def allowed(arguments: Namespace, design: Design) -> tuple[str, ...]:
     return tuple(out)
 
 
-def write_next(arguments: Namespace, found: PlatformDiagnosis, design: Design, out: Path, progress: Progress) -> None:
+def write_next(arguments: Namespace, asked: Sequence[Question], design: Design, out: Path, progress: Progress) -> None:
     """Write the plan that would tell best what a diagnosis leaves alike, and say its chance; say so where nothing is, or no plan would."""
     from calib.experiment.apart import cameras
     from calib.experiment.choose import choose, kinds
-    from calib.experiment.hypotheses import questions
     from rig import plan_table
     from rig.cubes import turned
 
-    asked = questions(found)
     experiments: list[Experiment] = []
     seen: dict[str, float] = {}
     if asked:
-        seed = SEED + max(len(found.parts), 1)
+        seed = SEED + 1 + len(arguments.further)
         texts = kinds(allowed(arguments, design), arguments.standing, tuple(turned(design)))
         experiments, refused = choose(asked, design, texts, seed, arguments.minutes,
                                       lambda done, of: progress("foretelling experiments", done, of))

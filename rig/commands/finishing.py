@@ -31,17 +31,18 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
     recordings = [str(recording_of(out, look.number)) for look in looks]
     calibration, number = out / "calibration.json", len(looks)
     poses, commands, plan, again = (out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", ""))
-    done = plan.exists()
+    done, arm = plan.exists(), rig.design.mechanism.kind == "arm"
     try:
         if not done:
-            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, number)), "--out", str(calibration))
+            rig.call("calibrate", *recordings, *([] if arm else ["--diagnosis", str(diagnosis_of(out, number))]), "--out", str(calibration))
     except RigError as error:
         return (f"not calibrated: {error}",)
     found = ", ".join(looks[-1].findings) or "no physics"
-    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
+    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, " + (
+        f"without {found}: an arm's joints are corrected over its configuration space" if arm and looks[-1].findings else f"with {found}"))
     try:
         if not done:
-            _wanted(poses, rig, arguments)
+            _wanted(poses, rig, arguments, calibration)
             rig.call("correct", str(calibration), "--poses", str(poses), "--out", str(commands), "--skip-unreachable", "--force")
             stands = build(rig.design, f"commands:{plan_of(out, number)}").turned  # cubes stay as they were put back
             write(plan, replace(build(rig.design, f"commands:{commands}"), turned=stands), rig.design.mechanism.axes)
@@ -58,16 +59,24 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
     return tuple(said)
 
 
-def _wanted(path: Path, rig: Rig, arguments: Namespace) -> None:
-    """Write new poses all over what the struts reach."""
+def _wanted(path: Path, rig: Rig, arguments: Namespace, calibration: Path) -> None:
+    """Write new poses all over what the axes reach; of an arm as its calibration has it, in the instrument's own frame."""
     import numpy as np
 
     from rig import mechanisms
     from rig.configurations import low_discrepancy
+    from rig.kinds import arm_of
     from rig.plan import strokes_of
     from rig.recording import Poses
     from rig.writing import write_poses
 
     m = rig.design.mechanism
     lengths = low_discrepancy(strokes_of(rig.design), arguments.verify, REACH, arguments.seed + VERIFYING)
-    write_poses(path, Poses(np.arange(len(lengths)), mechanisms.of(m).forward(lengths, m), None))
+    if m.kind == "arm":
+        from calib import store
+        from calib.arms import model
+
+        T = model.predicted(lengths, arm_of(store.load(calibration).correction.fitted))
+    else:
+        T = mechanisms.of(m).forward(lengths, m)
+    write_poses(path, Poses(np.arange(len(lengths)), T, None))

@@ -86,6 +86,17 @@ def test_what_fits_a_name_only_far_from_what_rigs_show_gets_none(tmp_path, desig
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scale", [5e-4, -1e-3])
+def test_all_struts_scales_off_by_one_share_are_one_name_or_alike_to_it(tmp_path, design, scale):
+    """Where they were no hypothesis of their own, they were called a compliance, or a creep with nothing alike to it."""
+    rec = recorded(tmp_path, design, [f"scale_error:strut{k}:scale={scale}" for k in range(1, 7)], seed=3, route="moving:24,sobol:50")
+    (finding,) = diagnose(rec).selection.findings
+    named = {(s.candidate.name, s.candidate.place) for s in (finding.score, *(a.score for a in finding.alternatives))}
+    assert ("scale_error", "rig") in named
+    assert scale < 0 or len(named) == 1
+
+
+@pytest.mark.slow
 def test_an_effect_of_a_temperature_that_nobody_logged_is_among_its_alternatives(tmp_path, design):
     rec = recorded(tmp_path, design, ["base_expansion:rig:coefficient=1e-4"], logged=False, route="sobol:50,ladder:2,sobol:60")
     found = diagnose(rec, only=["warm_up", "base_expansion"])

@@ -9,7 +9,7 @@ import pytest
 from calib.diagnose.engine.select import select
 from calib.diagnose.problems.arm.candidates import joint_candidates
 from calib.diagnose.problems.arm.diagnose import ArmDiagnosis, HeldOutPoses
-from calib.diagnose.problems.arm.poses import arms_of
+from calib.diagnose.problems.arm.poses import Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.report.arm import report
@@ -65,7 +65,9 @@ def test_sizes_are_those_that_were_hidden(found):
     problem, chosen = found
     proofs = [problem.cross_validation(chosen.fit, f.number) for f in chosen.findings]
     held = HeldOutPoses(chosen.before.left, chosen.fit.left, 30, ((),), np.zeros(len(problem.arms)))
-    d = ArmDiagnosis("arm", "poses.csv", problem.arms, UR10, chosen.before, chosen.fit, chosen.findings, proofs, chosen.asked, [], [held], None, [])
+    geometry = Geometry(UR10, np.zeros((0, 0)), lambda step: UR10)
+    d = ArmDiagnosis("arm", "poses.csv", problem.arms, geometry, UR10, chosen.before, chosen.fit, chosen.findings, proofs, chosen.asked, [], [held],
+                     None, [])
     by_name = {f.effect: f for f in report(d).findings}
     gap = by_name["backlash"].parameters["gap"]
     assert gap.ci95[0] <= GAP <= gap.ci95[1] and gap.ci95[1] - gap.ci95[0] < 0.3 * GAP

@@ -8,8 +8,8 @@ from calib.diagnose.problems.platform.refine import refine
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.experiment.apart import apart, cameras, chosen
 from calib.experiment.choose import CHOSEN, kinds
-from calib.experiment.foretold import PerFrame, per_frame
-from calib.experiment.hypotheses import Hypothesis, Question
+from calib.experiment.foretold import PlatformQuestion, per_frame
+from calib.experiment.question import Hypothesis, PerFrame
 from rig.effects.parse import parse
 from rig.plan import build
 from tests.calib.recorded import recorded
@@ -68,7 +68,7 @@ def test_configurations_are_chosen_by_the_images_and_the_cameras_that_see_it_are
     point = of_recording(recorded(tmp_path, design, ["edge_bias:camera cam1:bias=0.1"], route="sobol:20"))[0]
     fits = [refine(point.with_effects([parse(text)]), Sensitivities(point))
             for text in ("edge_bias:camera cam1:bias=0.1", "focal_drift:camera cam1:per_kelvin=1e-4")]
-    asked = [Question(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
+    asked = [PlatformQuestion(tuple(Hypothesis(fit.point.effects[0].name, "camera cam1", 0.5, fit, 0) for fit in fits))]
     own = apart(asked, design, 8, seed=3)
     plan = build(design, "apart:8", own={"apart:8": own})
     seen = cameras(asked, plan)

@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from calib.diagnose.engine.policy import PLATFORM
 from calib.experiment.choose import Experiment, kinds, ranked
-from calib.experiment.foretold import Foretold
+from calib.experiment.question import Foretold
 from calib.experiment.worth import worth
 
 HALF, NOTHING = np.array([0.5, 0.5]), np.zeros(2)

@@ -145,6 +145,8 @@ def _prior(spec: EffectCandidate) -> np.ndarray:
 def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> np.ndarray:
     """(n, a, q) of a node, see JointCandidate."""
     motion = arms.context.moved()
+    if joint is None and _retimes(spec.kind):
+        return np.einsum("nkj,njq->nkq", arms.joints, _retimed(spec, node, arms))
     if joint is None:
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
         moved = [arms.measured(spec.effect(node, unit).sway(motion)) / column.step for unit, column in zip(units, spec.linear)]

@@ -53,7 +53,8 @@ class HeldOutPoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDiagnosis:
-    """recording : its name; source : of the poses; arms : Arms; arm : Arm or Chain, its geometry fitted beside the findings
+    """recording : its name; source : of the poses; arms : Arms; geometry : Geometry that they are linear about
+    arm : Arm or Chain, its geometry fitted beside the findings
     before, fit : Fit by the geometry alone and with all findings; findings : [Finding]; cross_validations : one for each
     regions : for each joint, [CrossValidation] of the findings with whole regions of its travel held out in turn
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
@@ -64,6 +65,7 @@ class ArmDiagnosis:
     recording: str
     source: str
     arms: Arms
+    geometry: Geometry
     arm: Arm | Chain
     before: Fit
     fit: Fit
@@ -113,7 +115,7 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
     regions = problem.by_regions(chosen, numbers) if numbers else []
     before, cluster = fit(arms), problem.policy.cluster
     left = lack_of_fit(chosen, again, cluster)
-    return ArmDiagnosis(name, source, arms, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
+    return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
                         again, left, regions, covariates(before, chosen, cluster), given=given, suggestions=tuple(suggestions(chosen, left)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.arms import model
 from calib.arms.certify import calibrate
-from calib.arms.observations import of_samples
+from calib.arms.observations import of_samples, rows
 from calib.chains import model as chains
 from calib.chains.identify import identify
 from calib.samples import Samples
@@ -98,6 +98,22 @@ def arms_of(samples: Samples, design: Design, commands: Commands | None = None, 
     context = Context(design, samples.t, sensors, motion)
     freedoms = np.concatenate([freedoms, samples.common[:, : left.shape[1]]], axis=2)
     return Arms(samples.frame, samples.t, samples.commanded, left, freedoms, joints, own, commands, context), geometry
+
+
+def planned(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None) -> Arms:
+    """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its instrument sees as before.
+
+    Raises RigError for a chain, or where commands leave the arm's limits
+    """
+    if not isinstance(geometry.mechanism, Arm):
+        raise RigError("poses that are not there yet are told of an arm alone")
+    q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
+    kind = "pose" if k == 6 else "position"
+    freedoms = rows(kind, model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism) @ geometry.basis
+    joints = rows(kind, model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
+    context = replace(arms.context, design=design, t=t, sensors=sensors, motion=machine.motion(design, commands, t, (), sensors))
+    own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
+    return Arms(np.arange(len(t)), t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context)
 
 
 Linear = tuple[Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # with what is left, freedoms, joints and own of Arms

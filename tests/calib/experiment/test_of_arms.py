@@ -1,0 +1,102 @@
+"""Arms: what a plan's poses would be under each name is what the geometry and the machine say, and an investigation ends with the right one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.diagnose.problems.arm.diagnose import diagnose
+from calib.diagnose.problems.arm.poses import planned
+from calib.experiment.choose import evaluate
+from calib.experiment.of_arms import arm_questions
+from rig import design_file, machine, plan, recording, shelf
+from rig.cli import main
+from rig.effects.parse import parse
+from rig.pose import difference
+from synthetic import simulation, world
+
+FRICTION, PLAY = "hysteresis:joint 2:range=0.5,weight=0.001", "backlash:joint 2:gap=2e-4"
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """(Recording of a SCARA whose second joint sticks, its ArmDiagnosis)."""
+    at = tmp_path_factory.mktemp("scara")
+    (at / "rig.toml").write_text(shelf.design("scara"))
+    design, rng = design_file.load(at / "rig.toml"), np.random.default_rng(3)
+    done = simulation.simulate(world.draw(design, rng, 1.0, (parse(FRICTION),)), plan.build(design, "sobol:60", 3), rng)
+    simulation.write(done, at / "rec", shelf.design("scara"), rng)
+    read = recording.load(at / "rec")
+    return read, diagnose(read)
+
+
+def test_a_plan_that_was_made_is_told_as_it_was_seen(found):
+    """The first recording's own plan, told as one that is not there yet: the same freedoms and joints, and what effects move is the same."""
+    read, d = found
+    again = planned(d.arms, d.geometry, read.commands, d.arms.t, d.arms.context.sensors)
+    np.testing.assert_allclose(again.q, d.arms.q)
+    np.testing.assert_allclose(again.joints, d.arms.joints, atol=1e-12)
+    np.testing.assert_allclose(again.freedoms, d.arms.freedoms, atol=1e-12)
+    np.testing.assert_allclose(again.context.moved().lengths, d.arms.context.moved().lengths)
+
+
+def test_what_names_foretell_differs_as_the_machine_does(found):
+    read, d = found
+    (question,) = arm_questions(d)
+    assert {h.title for h in question.hypotheses} == {"backlash at joint 2", "hysteresis at joint 2", "something in no catalogue"}
+    assert sum(h.odds for h in question.hypotheses) == pytest.approx(1)
+    route = plan.build(read.design, "zigzag:16", 1)
+    told = question.foretold(route)
+    each = question.per_frame(route)
+    first, other = (next(k for k, h in enumerate(question.named) if h is one) for one in question.likeliest)
+    assert each.of.sum() == pytest.approx(np.sum((told.means[other] - told.means[first]) ** 2), rel=1e-6)
+
+    design, sigma = d.arms.context.design, np.sqrt(np.diag(d.arms.own[0]) + d.fit.scatter**2)
+    effects = [h.fitted.fit.terms[h.number].candidate.effect(h.fitted.fit.terms[h.number].node, h.fitted.fit.theta[h.fitted.fit.slices[h.number]])
+               for h in (question.named[first], question.named[other])]
+    runs = [machine.run(design, route.commands, route.t, (effect,), None).T_base_platform for effect in effects]
+    apart = float(np.sum((difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
+    assert each.of.sum() == pytest.approx(apart, rel=0.3)
+
+
+def test_what_turns_round_tells_play_from_friction_and_standing_does_not(found):
+    read, d = found
+    asked = arm_questions(d)
+    turning, standing = (evaluate(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
+    assert turning.settles > 0.9 > standing.settles and turning.bits > standing.bits
+
+
+def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
+    text = shelf.design("puma560")
+    (tmp_path / "rig.toml").write_text(text[: text.index("[instrument]")])
+    assert main(["investigate", str(tmp_path / "rig.toml"), "--by-hand", "--out", str(tmp_path / "out")]) == 1
+    assert "takes an [instrument] that measures its poses" in capsys.readouterr().err
+    (tmp_path / "rig.toml").write_text(text)
+    assert main(["simulate", str(tmp_path / "rig.toml"), "--plan", "turn:P1,sobol:3", "--out", str(tmp_path / "rec")]) == 1
+    assert "there is no cube 'P1'; there are none" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists() and not (tmp_path / "rec" / "rig.toml").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("effect", "name"), [(FRICTION, "hysteresis"), (PLAY, "backlash")])
+def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, name):
+    rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
+    rig.write_text(shelf.design("scara"))
+    assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", effect, "--seed", "3", "--out", str(tmp_path / "f"), "--truth",
+                 str(truth)]) == 0
+    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:60", "--budget", "1h"]) == 0
+    notebook = (out / "notebook.md").read_text()
+    assert "alike:" in notebook and "settled: yes" in notebook and f"alone: {name} at joint 2" in notebook
+    (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
+    assert (finding["effect"], finding["place"], finding["cannot_be_told_from"]) == (name, "joint 2", [])
+    assert not (out / "rec3").exists() and (out / "certificate" / "certificate.json").exists()
+    assert "an arm's joints are corrected over its configuration space" in notebook
+
+
+@pytest.mark.slow
+def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
+    rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
+    rig.write_text(shelf.design("scara"))
+    assert main(["simulate", str(rig), "--plan", "sobol:3", "--seed", "8", "--out", str(tmp_path / "f"), "--truth", str(truth)]) == 0
+    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
+    assert "Nothing is left out." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
