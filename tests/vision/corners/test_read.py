@@ -127,6 +127,12 @@ def test_outlines_of_what_is_dark_and_of_what_is_bright_in_it_are_found():
     assert found[..., 1].max() < 120  # the disc is none
 
 
+def test_outlines_of_three_hundredths_of_the_longer_side_are_the_shortest():
+    image = np.full((200, 1000), 200, np.uint8)
+    image[50:58, 100:108] = image[50:59, 300:309] = 20  # 28 and 32 pixels around
+    assert {tuple(q.min(axis=0)) + tuple(q.max(axis=0)) for q in quadrangles(image)} == {(300, 50, 308, 58)}
+
+
 @pytest.mark.parametrize("turn", range(4))
 def test_a_code_is_told_however_it_lies_and_with_as_many_errors_as_are_corrected(turn):
     wanted = codes(NAME, (3, 8))
