@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from calib.diagnose.problems.arm.candidates import joint_candidate
 from calib.diagnose.problems.arm.diagnose import diagnose
 from calib.diagnose.problems.arm.poses import planned
 from calib.experiment.choose import evaluate
@@ -12,6 +13,7 @@ from calib.experiment.of_arms import arm_questions
 from rig import design_file, machine, plan, recording, shelf
 from rig.cli import main
 from rig.effects.parse import parse
+from rig.effects.time_offset import TimeOffset
 from rig.pose import difference
 from synthetic import simulation, world
 
@@ -57,6 +59,21 @@ def test_what_names_foretell_differs_as_the_machine_does(found):
     runs = [machine.run(design, route.commands, route.t, (effect,), None).T_base_platform for effect in effects]
     apart = float(np.sum((difference(*runs) / sigma) ** 2))  # the geometry's own change is small beside it
     assert each.of.sum() == pytest.approx(apart, rel=0.3)
+
+
+def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
+    """As one hypothesis of all joints: while it moved none, each joint got a lag of its own."""
+    read, d = found
+    route = plan.build(read.design, "zigzag:16", 1)
+    there = planned(d.arms, d.geometry, route.commands, route.t, None)
+    candidate = joint_candidate((TimeOffset.candidates("clock", there.context)[0],), there)
+    assert candidate.joint is None and candidate.grid[0] == {}
+    moved = 1e-3 * candidate.weights(candidate.grid[0])[..., 0]
+    runs = [machine.run(there.context.design, route.commands, route.t, effects, None).T_base_platform for effects in
+            ((), (TimeOffset("clock", 1e-3),))]
+    expected = difference(*runs)
+    assert np.abs(expected[:, :3]).max() > 1e-4
+    np.testing.assert_allclose(moved, expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_what_turns_round_tells_play_from_friction_and_standing_does_not(found):
