@@ -241,5 +241,5 @@ class Design:
     def driver(self) -> Controller:
         """The Controller. Raises RigError where nothing is driven."""
         if self.controller is None:
-            raise RigError("rig.toml has no [controller], so there is nothing to drive")
+            raise RigError("rig.toml has no [controller], so there is nothing to drive: state its protocol and port there")
         return self.controller

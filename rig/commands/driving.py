@@ -19,7 +19,7 @@ def design_of(path: Path, port: str | None) -> Design:
     """The design of a rig.toml with a controller, at another port where that is asked for. Raises RigError for one without."""
     design = design_file.load(path)
     if design.controller is None:
-        raise RigError(f"{path} has no [controller], so there is nothing to drive")
+        raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
     return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
 
 

@@ -68,6 +68,7 @@ def read(table: ForeignTable, name: str) -> Cells:
         if whole:
             raise FileError(table.file, f"its last line is not like the {len(whole[0].rows)} before it, of {len(whole[0].header)} cells each: the "
                             f"file is cut off; mend the line or take it out: {shown(lines[-1][1])}", lines[-1][0])
+        _no_names(table, name, lines)
         raise FileError(table.file, "is no table with a header line and rows of as many cells, separated by comma, semicolon, tab or spaces, with "
                         "decimal points or commas; its separator and decimal can be stated: "
                         f"--set {name}.separator=semicolon --set {name}.decimal=comma")
@@ -84,6 +85,22 @@ def read(table: ForeignTable, name: str) -> Cells:
     _no_groups(table, first, lines, name)
     header, rows = clocked(table, first.header, first.rows)
     return Cells(first.path, header, rows, first.lines, first.table, (*words, *first.said))
+
+
+def _no_names(table: ForeignTable, name: str, lines: list[tuple[int, str]]) -> None:
+    """Raise FileError where it is only the names of the columns that a table lacks, or that are of another number."""
+    figures = lines if table.header is None else lines[1:]
+    for separator in SEPARATORS if table.separator is None else (table.separator,):
+        try:
+            count = len(_split(figures[0][1], separator)) if figures else 0
+        except csv.Error:  # it is no row of this dialect
+            continue
+        names = [f"column{i}" for i in range(count)]
+        if count > 1 and _fitting(replace(table, header=" ".join(names), separator=separator), [(0, ""), *figures]):
+            if table.header is None:
+                raise FileError(table.file, f"has no header line: name its {count} columns, --set '{name}.header=..', their names apart by spaces", 1)
+            stated = len(table.header.replace(",", " ").split())
+            raise FileError(table.file, f"has {count} cells in a row, and {name}.header names {stated} columns", figures[0][0])
 
 
 def _fitting(table: ForeignTable, lines: list[tuple[int, str]]) -> list[Cells]:

@@ -10,7 +10,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from rig import parquet_file, recording
-from rig.errors import MissingLibrary
+from rig.errors import FileError, MissingLibrary
+from rig.importing import dialect
+from rig.importing.recipe import ForeignTable
 from tests.importing.foreign import columns
 from tests.importing.test_importing import same, words
 from tests.mistakes.test_mistakes import said
@@ -88,7 +90,17 @@ def test_samples_lost_that_nothing_counts_are_refused(good, tmp_path):
     assert status == 1 and "struts.log:8: samples were lost here" in text
     sampled(good, log, False)
     status, text = said(*words(good, files, None, "commands.header=l1 l2 l3", "commands.period=1"), "--out", tmp_path / "rec")
-    assert status == 1 and "struts.log: is no table" in text
+    assert status == 1 and "struts.log:1: has 6 cells in a row, and commands.header names 3 columns" in text
+
+
+@pytest.mark.parametrize("header, says", [
+    (None, "log:1: has no header line: name its 3 columns, --set 'commands.header=..'"),
+    ("t l1", "log:1: has 3 cells in a row, and commands.header names 2")])
+def test_names_that_columns_lack_are_asked_for(header, says, tmp_path):
+    (tmp_path / "log").write_text("0 0.41 0.42\n1 0.43 0.44\n2 0.45 0.46\n")
+    with pytest.raises(FileError) as refused:
+        dialect.read(ForeignTable(tmp_path / "log", header=header), "commands")
+    assert says in str(refused.value)
 
 
 def test_parquet_tables_come_in_as_csv_does(good, tmp_path):
