@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from rig.cubes import cube_named
+from rig.cubes import cube_named, permitted
 from rig.design import PERMITTED, TURN, Permission, Target
 from rig.entries import Entries
 
@@ -16,24 +16,24 @@ def permission(table: Entries, targets: tuple[Target, ...]) -> Permission:
         table.fail(f"{table.name('may')} must list what experiments may do, of {', '.join(words)}, not {may!r}", "may", value=may)
     out = []
     for i, word in enumerate(may):
-        name, problem = cube_named(word.removeprefix(TURN), targets) if word.startswith(TURN) else ("", None)
+        allowed, problem = permitted(word, targets)
         if problem:
             table.fail(f"{table.name('may')}[{i + 1}]: {problem}", "may", i, value=word)
-        out.append(TURN + name if name else word)
+        out.append(allowed)
     return Permission(tuple(out))
 
 
 def turned(table: Entries, targets: tuple[Target, ...]) -> tuple[Target, ...]:
     """The targets, each cube that was taken off and put back with its quarter turns. Raises FileError for one that there is not."""
-    out = list(targets)
+    out, places = list(targets), {}
     for key in table.tree:
         name, problem = cube_named(key, targets)
         if problem:
             table.fail(f"turned: {problem}", key, value=key)
-        at = next(k for k, target in enumerate(targets) if target.name == name)
+        at = places[key] = next(k for k, target in enumerate(targets) if target.name == name)
         out[at] = replace(targets[at], turned=table.whole(key, 0, most=3))
-    for key in table.tree:
-        body = next(target.body for target in out if target.name == cube_named(key, targets)[0])
+    for key, at in places.items():
+        body = targets[at].body
         if all(target.turned is not None for target in out if target.body == body):
             table.fail(f"turned: all targets of the {body} were taken off, so that nothing holds its frame", key, value=key)
     return tuple(out)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rig.design import Design, Target
+from rig.design import TURN, Design, Target
 from rig.errors import RigError
 
 QUARTERS = 4
@@ -24,6 +24,14 @@ def cube_named(text: str, targets: Sequence[Target]) -> tuple[str, str | None]:
     if sum(target.body == found.body for target in targets) < 2:
         return "", f"cube {found.name!r} is the only target of the {found.body}, and nothing else holds its frame while it is off"
     return found.name, None
+
+
+def permitted(word: str, targets: Sequence[Target]) -> tuple[str, str | None]:
+    """(what an owner allows experiments, a cube that may be turned by its name, None), or ("", what is wrong with that cube, in words)."""
+    if not word.startswith(TURN):
+        return word, None
+    name, problem = cube_named(word.removeprefix(TURN), targets)
+    return TURN + name if problem is None else "", problem
 
 
 def turned(design: Design) -> dict[str, int]:

@@ -46,15 +46,14 @@ def refuse(arguments: Namespace) -> None:
 
 def allowed(arguments: Namespace, design: Design) -> tuple[str, ...]:
     """What an experiment may ask of an operator, cubes by their names. Raises RigError for a cube that the design does not have"""
-    from rig.cubes import cube_named
-    from rig.design import TURN
+    from rig.cubes import permitted
 
     out = []
     for word in arguments.may or design.experiment.may:
-        name, problem = cube_named(word.removeprefix(TURN), design.targets) if word.startswith(TURN) else ("", None)
+        may, problem = permitted(word, design.targets)
         if problem:
             raise RigError(f"--may {word!r}: {problem}")
-        out.append(TURN + name if name else word)
+        out.append(may)
     return tuple(out)
 
 
