@@ -43,16 +43,30 @@ class Cluster:
         with self._said():
             carried = self._client.submit(bytes, data, pure=False)  # a call and no mere data: it is done again where who held it is gone
             futures = [self._client.submit(_done, carried, hashlib.sha256(data).hexdigest(), part, pure=False) for part in parts]
-            out: list = []
-            try:
-                for future in futures:
-                    for result in self._waited_for(future):
-                        out.append(result)
-                        if progress:
-                            progress(len(out), len(things))
-            finally:
+        out: list = []
+        try:
+            for future in futures:
+                for result in self._result(future):
+                    out.append(result)
+                    if progress:
+                        progress(len(out), len(things))
+        finally:
+            with self._said():
                 self._client.cancel([future for future in futures if not future.done()])
         return out
+
+    def _result(self, future: Any) -> list:
+        """What comes of a part. What the work raises is raised as it is, and not said of the cluster."""
+        from dask.distributed import KilledWorker
+
+        with self._said():
+            try:
+                return self._waited_for(future)
+            except Exception:
+                raised = future.exception() if future.status == "error" else None
+                if raised is None or isinstance(raised, (KilledWorker, ImportError)):
+                    raise
+        raise raised
 
     def _waited_for(self, future: Any) -> list:
         """What comes of a part. Raises RigError where for long nobody is left to do it"""
@@ -61,7 +75,7 @@ class Cluster:
             try:
                 return future.result(timeout=WAIT)
             except TimeoutError:
-                if future.done():  # it is what the work itself raised
+                if future.status == "error":
                     raise
                 alone = 0 if self._workers() else alone + 1
         raise RigError(f"the cluster at {self.address} has had no worker for {PATIENCE * WAIT} s")
@@ -77,8 +91,7 @@ class Cluster:
     def _said(self) -> Iterator[None]:
         """Within it what Dask raises of the cluster itself is said in a line."""
         from dask import config
-        from dask.distributed import CancelledError, KilledWorker, TimeoutError
-        from distributed.comm import CommClosedError
+        from dask.distributed import CancelledError, KilledWorker
 
         try:
             with config.set({"distributed.admin.large-graph-warning-threshold": LARGE}):
@@ -88,7 +101,7 @@ class Cluster:
                            f"memory: {error}") from None
         except ImportError as error:
             raise RigError(f"a worker of the cluster at {self.address} lacks what this computer has: {error}; install the same rig there") from None
-        except (CommClosedError, CancelledError, TimeoutError) as error:
+        except (OSError, CancelledError) as error:  # those of its connections and waits that are over are OSErrors
             raise RigError(f"the cluster at {self.address} is gone: {error}") from None
 
 

@@ -114,6 +114,18 @@ def alike(first, other, names):
         assert (first / name).read_bytes() == (other / name).read_bytes(), name
 
 
+@pytest.mark.parametrize("kind", [TimeoutError, ConnectionResetError, ValueError])
+def test_what_the_work_raises_is_not_said_of_the_cluster(kind):
+    from dask.distributed import LocalCluster
+
+    def fail(k):
+        raise kind(f"corners.csv of {k} is far away")
+
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as here, cluster.cluster(here.scheduler_address) as there, \
+            pytest.raises(kind, match="corners.csv of 0 is far away"):
+        there.map(fail, range(3))
+
+
 @pytest.mark.slow
 def test_a_cluster_does_calls_in_order_and_raises_what_they_raise(tmp_path):
     def fail(k):
