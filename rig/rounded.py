@@ -1,7 +1,14 @@
-"""Numbers as people read them: so many significant digits, and no power of ten where digits do."""
+"""Numbers as people read them: so many significant digits, no power of ten where digits do, in a unit that makes them short."""
+
+import math
+from collections.abc import Sequence
 
 MOST = 7  # digits by which two values may be told apart
 PLAIN = 1e6  # from which a power of ten is the shorter
+UNITS = {"m": ((1e6, "µm"), (1e3, "mm"), (1.0, "m")), "rad": ((1e6, "µrad"), (1e3, "mrad"), (1.0, "rad")),
+         "m, rad": ((1e6, "µm, µrad"), (1e3, "mm, mrad"), (1.0, "m, rad")), "s": ((1e6, "µs"), (1e3, "ms"), (1.0, "s")),
+         "N/m": ((1e-6, "N/µm"),), "N m/rad": ((1.0, "N m/rad"), (1e-3, "kN m/rad"), (1e-6, "MN m/rad")),
+         "1": ((1.0, ""),), "1/K": ((1e6, "10⁻⁶/K"),)}  # as people read them: the first in which a value is below 1000, or the last
 
 
 def rounded(value: float, digits: int = 3) -> str:
@@ -21,3 +28,35 @@ def apart(low: float, high: float, digits: int = 3) -> int:
     (4, 3)
     """
     return next((n for n in range(digits, MOST) if rounded(low, n) != rounded(high, n)), digits)
+
+
+def quantity(values: float | Sequence[float], unit: str) -> str:
+    """One value in an SI unit, or several beside each other, in the unit in which people read the largest.
+
+    >>> quantity(2078.46, "s"), quantity(4.2e-5, "m"), quantity((0.001, -0.0005), "rad"), quantity(3, "")
+    ('2080 s', '42 µm', '1 -0.5 mrad', '3')
+    """
+    numbers = values if isinstance(values, Sequence) else (values,)
+    scale, name = _read(max(map(abs, numbers)), unit)
+    return f"{' '.join(rounded(v * scale) for v in numbers)} {name}".strip()
+
+
+def between(low: float, high: float, unit: str) -> str:
+    """What lies between two values in an SI unit, or in several, each in the unit in which people read it; high may be infinite.
+
+    >>> between(5e-6, 2e-4, "m"), between(1e-3, 60, "s"), between(0, 0.05, "m"), between(1e4, float("inf"), "N/m")
+    ('5 to 200 µm', '1 ms to 60 s', '0 to 50 mm', '0.01 N/µm and more')
+    """
+    if ", " in unit:
+        return ", ".join(between(low, high, one) for one in unit.split(", "))
+    if math.isinf(high):
+        return f"{quantity(low, unit)} and more"
+    first, last = (_read(abs(end or other), unit) for end, other in ((low, high), (high, low)))
+    left = rounded(low * first[0]) if first == last else quantity(low, unit)
+    return f"{left} to {rounded(high * last[0])} {last[1]}".strip()
+
+
+def _read(size: float, unit: str) -> tuple[float, str]:
+    """(what a size is multiplied by, the unit's name) as people read it."""
+    units = UNITS.get(unit, ((1.0, unit),))
+    return next((pair for pair in units if size * pair[0] < 1000), units[-1])

@@ -32,6 +32,21 @@ def test_plan_for_parameters_is_written_and_can_be_run(rig_file, tmp_path, capsy
     assert "beside 10 given" in capsys.readouterr().out
 
 
+def test_of_a_promise_that_is_met_no_plan_is_written(rig_file, tmp_path, capsys):
+    plan, more, page = (str(tmp_path / name) for name in ("plan.csv", "more.csv", "more.html"))
+    promised = ["plan", str(rig_file), "--promise"]
+    assert main([*promised, "20um", "--out", plan]) == 0
+    assert main([*promised, "30um", "--given", plan, "--out", more, "--page", page]) == 0
+    said = capsys.readouterr().out
+    assert "the promise of 30 µm is met by the 12 configurations given" in said and f"nothing is written to {more}; look at {page}" in said
+    assert not (tmp_path / "more.csv").exists() and "rig run" not in (tmp_path / "more.html").read_text()
+    before = (tmp_path / "plan.csv").read_text()
+    assert main([*promised, "2m", "--out", plan]) == 0
+    said = capsys.readouterr().out
+    assert "is met by the geometry as it is stated" in said and f"nothing is written to {plan}, which stays as it was" in said
+    assert (tmp_path / "plan.csv").read_text() == before
+
+
 def test_parts_of_a_plan_are_written_as_configurations(rig_file, tmp_path, capsys):
     out = tmp_path / "plan.csv"
     assert main(["plan", str(rig_file), "--parts", "axes:2,combined:2", "--out", str(out)]) == 0

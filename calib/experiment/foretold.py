@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.coordinates import tangents
-from calib.diagnose.problems.platform.corners import seats_of as seats_among
+from calib.diagnose.problems.platform.corners import seat_freedoms
 from calib.diagnose.problems.platform.heldout import change
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, seats_of
@@ -159,7 +159,7 @@ def _nuisances(model: LinearisedModel, new: LinearisedModel) -> tuple[list[tuple
     before = list(model.nuisances.names)
     fresh = [name for name in new.nuisances.names if name not in before]
     P = np.linalg.pinv(model.nuisances.solve)
-    own = seats_among(fresh)
+    own = seat_freedoms(fresh)
     if sum(map(len, own.values())) != len(fresh):
         raise ValueError(f"the new recording has nuisances that no recording before has: {fresh}")
     information = np.diag(np.r_[np.zeros(len(before)), np.tile(1 / np.repeat(SEAT, 3) ** 2, len(own))])

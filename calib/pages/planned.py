@@ -28,7 +28,10 @@ class Planned:
 
 
 def planned_page(path: Path | str, file: str, p: Planned, links: Sequence[Link] = ()) -> None:
-    """Write the page of a plan that is in a file. Raises as forward kinematics does"""
+    """Write the page of a plan that is in a file; of one that visits nothing, why. Raises as forward kinematics does"""
+    if not len(p.values):
+        write(path, Page("plan", f"No plan {file}", p.verdict, [], [], links))
+        return
     mechanism, n = p.design.mechanism, np.arange(len(p.values))
     T = mechanisms.of(mechanism).forward(p.values, mechanism)
     units = mechanisms.units(mechanism)

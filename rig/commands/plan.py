@@ -70,12 +70,15 @@ def run(arguments: Namespace) -> None:
 
         told = Planned(made.design, made.values, Verdict(State(made.state), made.why), made.said)
         planned_page(page, str(arguments.out), told, near(arguments, arguments.page))
-    print(f"written: {arguments.out}" + (f"; look at {arguments.page}" if page else ""))
+    kept = ", which stays as it was" if arguments.out.is_file() else ""
+    written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
+    print(written + (f"; look at {arguments.page}" if page else ""))
 
 
 def _promise(arguments: Namespace) -> Made:
-    """Write the fewest configurations that keep a promise."""
+    """Write the fewest configurations that keep a promise; nothing where it is met without any."""
     from rig import design_file, writing
+    from rig.rounded import quantity
 
     design = design_file.load(arguments.design)
     mechanism = design.mechanism
@@ -90,11 +93,12 @@ def _promise(arguments: Namespace) -> Made:
     progress = Progress()
     found = fewest(mechanism, arguments.promise, arguments.sigma, given, SEED, lambda done, of: progress("choosing", done, of), avoided)
     progress.close()
-    writing.write_configurations(out, mechanism.axes, found.commands)
     count, visited = len(found.commands), 0 if given is None else len(given)
     if not count:
-        said = [f"the promise is met by the {visited} configurations given: {found.left[0] * 1e6:.3g} um left"]
+        met = f"by the {visited} configurations given" if visited else "by the geometry as it is stated, with no configuration visited"
+        said = [f"the promise of {quantity(arguments.promise, 'm')} is met {met}: {quantity(found.left[0], 'm')} left; there is nothing to visit"]
     else:
+        writing.write_configurations(out, mechanism.axes, found.commands)
         said = [f"{count} configurations beside {visited} given keep {arguments.promise * 1e6:.4g} um: {found.left[0] * 1e6:.4g} -> "
                 f"{found.left[-1] * 1e6:.4g} um RMS over the workspace, which 97.5 % of machines keep to; errors that all poses share come on top",
                 "left after each: " + " ".join(f"{value * 1e6:.3g}" for value in found.left[1:]) + " um"]

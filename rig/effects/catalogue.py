@@ -8,6 +8,7 @@ from rig.effects import ALL
 from rig.effects.base import AXES, Effect
 from rig.effects.parameter import Parameter
 from rig.effects.places import of_any_axis
+from rig.rounded import between
 
 STAGES = {"command": "what the axes are told, and when", "struts": "what the axes do beyond their command",
           "structure": "what the frame and the platform do", "targets": "where markers sit", "view": "what a camera makes of it"}
@@ -15,8 +16,8 @@ HEAD = """# The catalogue of left-out physics
 
 This page is made from the effects themselves (`rig catalogue`). An effect is one file in `rig/effects`: its model, its
 parameters, the places where it can sit, what is tried of it, what shows it, the experiment that would expose it and what to do about it.
-A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..`, the numbers of a vector parted by slashes. An axis is a strut (m)
-or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
+A value of `rig simulate --effect` reads `NAME:PLACE:PARAMETER=VALUE,..` in the parameter's unit, the numbers of a vector parted by slashes. An
+axis is a strut (m) or a joint (rad); `rig` stands for all axes, `cameras` for all cameras, `markers` for all markers.
 """
 
 SKETCHED = """
@@ -53,13 +54,10 @@ def row(p: Parameter, effect: type[Effect]) -> str:
     """One parameter as a row of the table."""
     name = p.name if p.size == 1 else f"{p.name} ({p.size or 'any'})"
     joint = p.at(f"{AXES[1]} 1")
-    turned = f"{_range(joint.usual)} {joint.unit}".strip() if joint is not p and p.role != "choice" else ""
-    usual = "" if p.role in ("choice", "moment") else _range(p.usual)
-    return f"| {name} | {p.unit} | {usual} | {_range(p.bounds)} | {turned} |"
-
-
-def _range(ends: tuple[float, float]) -> str:
-    return "" if np.isinf(ends[0]) else f"{ends[0]:g} to {ends[1]:g}"
+    turned = between(*joint.usual, joint.unit) if joint is not p and p.role != "choice" else ""
+    usual = "" if p.role in ("choice", "moment") else between(*p.usual, p.unit)
+    bounds = "" if np.isinf(p.bounds[0]) else between(*p.bounds, p.unit)
+    return f"| {name} | {p.unit} | {usual} | {bounds} | {turned} |"
 
 
 def _place(kind: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from rig.effects.base import AXES, Effect
 from rig.effects.parameter import Parameter
 from rig.effects.places import of_any_axis
+from rig.rounded import between
 
 HEADS = ("name", "stage", "sits at", "parameters, usual size", "exposed by", "what to do")
 SHARES = (0.14, 0.08, 0.1, 0.21, 0.24, 0.23)  # of the width, by column
@@ -33,9 +34,8 @@ def whole(effect: type[Effect], width: int) -> str:
     """All of one effect, for a terminal. width : characters of a line"""
     parts = [f"{effect.name}, stage {effect.stage}, sits at {', '.join(effect.places)}", _flat(effect.__doc__ or "")]
     for p in effect.parameters:
-        joint = p.at(f"{AXES[1]} 1")
-        at_joint = f"; at a joint {_size(joint)}" if joint is not p else ""
-        parts.append(f"  {_size(p)}, from {p.bounds[0]:g} to {p.bounds[1]:g}{at_joint}")
+        joint, ends = p.at(f"{AXES[1]} 1"), f", bounds {between(*p.bounds, p.unit)}" if p.bounds[0] > -float("inf") else ""
+        parts.append(f"  {_written(p)}{ends}" + (f"; at a joint{_written(joint).removeprefix(p.name)}" if joint is not p else ""))
     first = f"--effect {effect.name}:PLACE:" + ",".join(f"{p.name}=.." for p in effect.parameters)
     parts += [f"Exposed by: {_said(effect.experiment)}", f"What to do: {_said(effect.action)}", f"To simulate it: rig simulate RIG.toml {first}"]
     return "\n".join(textwrap.fill(part, width, subsequent_indent="    ", break_on_hyphens=False) for part in parts) + "\n"
@@ -51,8 +51,12 @@ def _has_usual(p: Parameter) -> bool:
 
 
 def _size(p: Parameter) -> str:
-    usual = f" {p.usual[0]:g} to {p.usual[1]:g}" if _has_usual(p) else ""
-    return f"{p.name}{usual}{f' {p.unit}' if p.unit else ''}"
+    return f"{p.name} {between(*p.usual, p.unit)}" if _has_usual(p) else p.name + (f" ({p.unit})" if p.unit else "")
+
+
+def _written(p: Parameter) -> str:
+    """A parameter with the unit in which it is written, and its usual size."""
+    return p.name + (f", in {p.unit}" if p.unit else "") + (f": {between(*p.usual, p.unit)}" if _has_usual(p) else "")
 
 
 def _row(cells: Iterable[str], widths: list[int]) -> list[str]:

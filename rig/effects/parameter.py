@@ -3,9 +3,8 @@
 from dataclasses import dataclass, replace
 
 from rig.effects.places import kind_of
+from rig.rounded import quantity
 
-SHOWN = {"m": ((1e6, "µm"), (1e3, "mm")), "rad": ((1e6, "µrad"), (1e3, "mrad")), "s": ((1e3, "ms"), (1.0, "s")), "N/m": ((1e-6, "N/µm"),),
-         "1/K": ((1e6, "10⁻⁶/K"),)}  # as people read them: the first in which a value is below 1000, or the last
 MOST_SHOWN = 3  # numbers of several
 
 TURNED = {"m": "rad", "N/m": "N m/rad"}  # units of a strut's and of a joint's axis
@@ -44,9 +43,9 @@ class Parameter:
         most = self.usual[0] if inverse else self.usual[1]
         if not (abs(value) * FAR < most if inverse else abs(value) > FAR * most):
             return None
-        unit, end = f" {self.unit}" if self.unit else "", "least" if inverse else "most"
-        return (f"{self.name.replace('_', ' ')} {value:.3g}{unit} is far beyond what rigs show, {most:g}{unit} at the {end}: something else may hide "
-                "behind it")
+        end = "least" if inverse else "most"
+        return (f"{self.name.replace('_', ' ')} {quantity(value, self.unit)} is far beyond what rigs show, {quantity(most, self.unit)} at the {end}: "
+                "something else may hide behind it")
 
     def at(self, place: str) -> "Parameter":
         """The same as it is at a place: in rad in place of m at a joint."""
@@ -57,7 +56,5 @@ class Parameter:
     def said(self, value: float | tuple[float, ...]) -> str:
         """Its name and a value, in a unit that people read."""
         numbers = value if isinstance(value, tuple) else (value,)
-        units = SHOWN.get(self.unit, ((1.0, self.unit),))
-        scale, unit = next((pair for pair in units if max(map(abs, numbers)) * pair[0] < 1000), units[-1])
-        shown = " ".join(f"{v * scale:.3g}" for v in numbers[:MOST_SHOWN])
-        return f"{self.name.replace('_', ' ')} {shown}{' ..' if len(numbers) > MOST_SHOWN else ''} {unit}".strip()
+        more = f", the first {MOST_SHOWN} of {len(numbers)}" if len(numbers) > MOST_SHOWN else ""
+        return f"{self.name.replace('_', ' ')} {quantity(numbers[:MOST_SHOWN], self.unit)}{more}"

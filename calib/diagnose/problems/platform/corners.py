@@ -140,7 +140,7 @@ def edges_of(names: Sequence[tuple[str, str | int]], design: Design) -> list[tup
     return [(cameras.index(name), j) for j, (name, what) in enumerate(names) if what == EDGES]
 
 
-def seats_of(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
+def seat_freedoms(names: Sequence[tuple[str, str | int]]) -> dict[str, list[int]]:
     """{place of a cube that was put back: its six freedoms} among the freedoms (their names)."""
     out: dict[str, list[int]] = {}
     for j, (place, what) in enumerate(names):

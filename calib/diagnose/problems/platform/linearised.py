@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnose.engine.linear import Block, Column, LinearModel, orthonormal
-from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of, seats_of
+from calib.diagnose.problems.platform.corners import MEDIAN, CornerRows, corner_rows, edges_of, seat_freedoms
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.identify.geometry import PRIOR, loop_jacobian, parameters, strut_jacobian
 from rig.parallel import threaded
@@ -155,7 +155,7 @@ def linearise(point: OperatingPoint) -> LinearisedModel:
     beforehand = np.column_stack([np.zeros(len(priors)), np.diag(np.array(priors))])
     for i, j in edges_of(tuple(names), k.design) if k.finder else ():
         beforehand[j, 0] = -k.finder[i] / FINDER.sigma
-    at = seats_of(names)
+    at = seat_freedoms(names)
     for seat in (seat for seat in k.seats if seat.place in at):
         beforehand[at[seat.place], 0] = -np.array(seat.motion) / np.repeat(SEAT, 3)
     if k.axes and k.known is not None:

@@ -13,7 +13,7 @@ from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.linear import Column, joined
 from calib.diagnose.problems.platform.candidates import SIZED, PlatformScore, bounds_of
 from calib.diagnose.problems.platform.coordinates import tangents
-from calib.diagnose.problems.platform.corners import edges_of, seats_of, standing
+from calib.diagnose.problems.platform.corners import edges_of, seat_freedoms, standing
 from calib.diagnose.problems.platform.linearised import LinearisedModel, linearise
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
 from calib.diagnose.problems.platform.search import column_of
@@ -252,7 +252,7 @@ def _apply(model: LinearisedModel, freedoms: np.ndarray, step: np.ndarray, colum
     finder = list(k.finder or [0.0] * len(cameras))
     for i, j in edges_of(model.nuisances.names, k.design):
         finder[i] += float(freedoms[j])
-    own = seats_of(model.nuisances.names)
+    own = seat_freedoms(model.nuisances.names)
     seats = tuple(replace(s, motion=tuple((np.array(s.motion) + freedoms[own[s.place]]).tolist())) if s.place in own else s for s in k.seats)
     if k.axes:
         m, p = k.platform, parameters(k.platform)
