@@ -161,7 +161,7 @@ def _stages(folder: Path, design: Design, known: set[int]) -> dict[int, Poses]:
         body = name.removesuffix(".csv").replace("poses_stage", "stage ")
         if body not in bodies:
             raise FileError(folder / name, f"rig.toml has no {body!r} below a last platform; there are {', '.join(bodies)}")
-        out[int(body.removeprefix("stage "))] = load_poses(folder / name, known)
+        out[int(body.removeprefix("stage "))] = load_measured(folder / name, known, design.instrument)
     return out
 
 

@@ -12,7 +12,7 @@ from calib.chains import model
 from calib.chains.identify import identify
 from calib.pipeline import sample_recording
 from calib.samples import Samples
-from rig import design_file, machine_file, recording, table
+from rig import cli, design_file, machine_file, recording, table
 from rig.configurations import low_discrepancy
 from rig.effects.parse import parse, placed
 from rig.errors import FileError, RigError, Unreachable
@@ -111,6 +111,21 @@ def test_a_loop_closes_under_an_instrument(tmp_path, capfd):
     assert found["before"]["position"]["rms"] > 10 * found["after"]["position"]["rms"]
     kept = store.load(tmp_path / "calibration.json").correction
     assert [stage.kind for stage in kept.fitted.stages] == ["arm", "hexapod"] and json.loads((tmp_path / "calibration.json").read_text())["claim"]
+
+
+def test_an_instrument_that_sees_positions_alone_says_so_of_a_carriage_too(design, tmp_path, capfd):
+    rig("simulate", tmp_path / "rig.toml", "--plan", "sobol:6", "--seed", "4", "--out", tmp_path / "rec")
+    short = [line.split(",")[:4] for line in (tmp_path / "rec" / "poses.csv").read_text().splitlines()]
+    for name in ("poses.csv", "poses_stage1.csv"):
+        (tmp_path / "rec" / name).write_text("".join(",".join(cells) + "\n" for cells in short))
+    stated = (tmp_path / "rec" / "rig.toml").read_text()
+    (tmp_path / "rec" / "rig.toml").write_text(stated.replace("rotation_sigma = 5e-5\n", ""))
+    stage = recording.load(tmp_path / "rec").stages[1]
+    np.testing.assert_array_equal(stage.T_base_platform.translation, np.array(short[1:], float)[:, 1:])
+    assert stage.T_base_platform.rotation.magnitude().max() == 0 and stage.covariance is None
+    capfd.readouterr()
+    assert cli.main(["calibrate", str(tmp_path / "rec"), "--out", str(tmp_path / "c.json")]) == 1
+    assert "positions alone calibrate arms, not a mechanism of kind 'chain'" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("change, says", [
