@@ -11,9 +11,8 @@ from typing import Any
 
 from rig import remote
 from rig.errors import MissingLibrary, RigError
+from rig.processes import parts
 
-SHARES = 8  # parts of some work for each worker, so that none is waited for long
-MOST = 32  # things of a part: what is lost with a worker
 WAIT = 20  # s for a scheduler, and for its first worker
 PATIENCE = 3  # such times for another worker, when the last one is gone
 LARGE = "1GiB"  # what a function may carry to the workers before Dask warns of it
@@ -37,12 +36,11 @@ class Cluster:
         """
         import cloudpickle
 
-        size = min(MOST, max(1, len(things) // (SHARES * max(self._workers(), 1))))
-        parts = [things[at : at + size] for at in range(0, len(things), size)]
         data = cloudpickle.dumps(function)
         with self._said():
             carried = self._client.submit(bytes, data, pure=False)  # a call and no mere data: it is done again where who held it is gone
-            futures = [self._client.submit(_done, carried, hashlib.sha256(data).hexdigest(), part, pure=False) for part in parts]
+            digest, shares = hashlib.sha256(data).hexdigest(), parts(things, max(self._workers(), 1))
+            futures = [self._client.submit(_done, carried, digest, share, pure=False) for share in shares]
         out: list = []
         try:
             for future in futures:

@@ -1,21 +1,26 @@
 """Many things done at the same time, by processes that end with the one that began them, however it ends."""
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
+from itertools import accumulate
 from typing import Any
 
 from rig.errors import RigError
 
 ENDED = 3  # processes that may be ended from outside, one after the other with nothing done between, before nothing more is begun
+SHARES = 4  # parts of what is left for each worker, so that none is waited for long
+MOST = 4  # things of a part: what is lost with a worker, and by which progress goes on
 PR_SET_PDEATHSIG = 1  # of prctl(2): the signal that comes when the parent is gone
 
 _waited_for: set[subprocess.Popen] = set()  # children of `finished`
@@ -66,6 +71,17 @@ def gathered(pool: Executor, function: Callable, things: Iterable, progress: Cal
     return out
 
 
+def parts(things: Sequence, count: int) -> list[Sequence]:
+    """The things in their order, in parts that `count` workers take in turn: large ones at first, as each costs a message to and fro, and single ones
+    at the end, where workers would wait for each other (factoring, Hummel, Schonberg and Flynn 1992)."""
+    out, at = [], 0
+    while at < len(things):
+        size = min(MOST, -(-(len(things) - at) // (SHARES * count)))
+        out.append(things[at : at + size])
+        at += size
+    return out
+
+
 def done_by(count: int, method: str, function: Callable, things: Iterable, progress: Callable | None = None, start: Callable | None = None,
             given: tuple = ()) -> list:
     """`gathered` by a pool as `pool_of` makes it; what a process was at when it was ended from outside, another does once more.
@@ -76,18 +92,22 @@ def done_by(count: int, method: str, function: Callable, things: Iterable, progr
     total, futile = len(left), 0
     out: dict[int, Any] = {}
 
-    def told(done: int, _: int) -> None:
-        if progress:
-            progress(len(out) + done, total)
-
     while left:
         futures: list[Future] = []
+        shares = parts(left, count)
+        ends = list(accumulate(map(len, shares), initial=len(out)))
+
+        def told(done: int, _: int, ends: list[int] = ends) -> None:
+            if progress:
+                progress(ends[done], total)
+
         try:
             with pool_of(count, method, start, given) as pool:
-                gathered(pool, function, [thing for _, thing in left], told, futures)
+                gathered(pool, partial(_each, function), [[thing for _, thing in share] for share in shares], told, futures)
         except WorkerEnded:
             futile += 1
-        kept = [(k, future.result()) for (k, _), future in zip(left, futures) if future.done() and not future.cancelled() and not future.exception()]
+        kept = [(k, result) for share, future in zip(shares, futures) if future.done() and not future.cancelled() and not future.exception()
+                for (k, _), result in zip(share, future.result())]
         out.update(kept)
         futile = 0 if kept else futile
         if futile == ENDED:
@@ -151,12 +171,17 @@ def end_with(parent: int) -> None:
         os._exit(1)
 
 
+def _each(function: Callable, things: Sequence) -> list:
+    return [function(thing) for thing in things]
+
+
 def _begin(parent: int, rest: bytes) -> None:
     """rest : (start, given) as `pool_of` has them; opened last, as what it takes to do that may have to be imported, which lasts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who interrupts the run ends its processes as well
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     end_with(parent)
+    gc.freeze()  # what was inherited is not gone through again, which would copy it
     start, given = pickle.loads(rest)
     if start is not None:
         start(*given)

@@ -12,14 +12,18 @@ anew of the same machine differs in every image by its noise, so that chance doe
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 
 from rig.errors import FileError
 from rig.files.made import digest, load
 from rig.pose import vector
+from rig.processes import cores
 from rig.recording import LIMB, Recording
 
 LENGTH = 16  # hexadecimal digits of a mark: two of a million alike in one case of 4e7
@@ -30,7 +34,28 @@ def marks(recording: Recording) -> Marks:
     """The marks of a recording's frames, its own and those of what it was measured from. Raises FileError for an image that cannot be read."""
     if recording.parts:
         return {part.frames + frame: own for part in recording.parts for frame, own in marks(part.recording).items()}
-    found = [(frame, mark) for part in (_images, _corners, _poses, _limbs) for frame, mark in part(recording)]
+    with meanwhile(recording) as marked:
+        return marked()
+
+
+@contextmanager
+def meanwhile(recording: Recording) -> Iterator[Callable[[], Marks]]:
+    """A function that gives the `marks` of one recording, whose images threads beside this one begin to read at once, where it may have any."""
+    paths = [recording.folder / name for name in recording.exposures.image if name]
+    if cores() < 2:
+        yield lambda: _marks(recording, dict(zip(paths, map(digest, paths))))
+        return
+    pool = ThreadPoolExecutor(cores())
+    try:
+        digests = pool.map(digest, paths)
+        yield lambda: _marks(recording, dict(zip(paths, digests)))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _marks(recording: Recording, digests: dict[Path, str]) -> Marks:
+    """digests : of the images' files"""
+    found = [*_images(recording, digests), *((frame, mark) for part in (_corners, _poses, _limbs) for frame, mark in part(recording))]
     often = Counter(mark for _, mark in found)
     out = defaultdict(set)
     for frame, mark in found:
@@ -60,11 +85,11 @@ def shared(of: Marks, known: Collection[str]) -> list[int]:
     return sorted(frame for frame, own in of.items() if own & known)
 
 
-def _images(recording: Recording) -> list[tuple[int, str]]:
+def _images(recording: Recording, digests: dict[Path, str]) -> list[tuple[int, str]]:
     out = []
     for frame, name in zip(recording.exposures.frame.tolist(), recording.exposures.image):
         if name:
-            whole = digest(recording.folder / name)
+            whole = digests[recording.folder / name]
             if not whole:
                 raise FileError(recording.folder / name, "cannot be read")
             out.append((frame, whole[:LENGTH]))

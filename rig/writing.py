@@ -58,14 +58,14 @@ def _positions(poses: Poses) -> np.ndarray:
 
 def write_corners(path: Path, corners: Corners) -> None:
     """Write a corners.csv with sigma and the whole covariance of each corner."""
-    lines = [",".join([*CORNER_COLUMNS, *(("sigma", *CORNER_COVARIANCE) if corners.covariance is not None else ())])]
-    for i, camera in enumerate(corners.camera):
-        cells = [f"{corners.frame[i]},{camera},{corners.marker[i]},{corners.corner[i]},{corners.uv[i, 0]:.5f},{corners.uv[i, 1]:.5f}"]
-        if corners.covariance is not None:
-            c = corners.covariance[i]
-            cells.append(f"{np.sqrt(np.trace(c) / 2):.5f},{c[0, 0]:.4e},{c[0, 1]:.4e},{c[1, 1]:.4e}")
-        lines.append(",".join(cells))
-    write_text(path, "\n".join(lines) + "\n")
+    c = corners
+    header, form = [*CORNER_COLUMNS], "%d,%s,%d,%d,%.5f,%.5f"
+    columns = [c.frame.tolist(), c.camera, c.marker.tolist(), c.corner.tolist(), *c.uv.T.tolist()]
+    if c.covariance is not None:
+        header, form = [*header, "sigma", *CORNER_COVARIANCE], form + ",%.5f,%.4e,%.4e,%.4e"
+        (uu, uv), (_, vv) = np.moveaxis(c.covariance, 0, -1)
+        columns += [column.tolist() for column in (np.sqrt((uu + vv) / 2), uu, uv, vv)]
+    write_table(path, header, (form % row for row in zip(*columns)))
 
 
 def copy_times(source: Path, target: Path, exposures: Exposures, origin: Origin) -> None:

@@ -37,12 +37,11 @@ def loaded(arguments: argparse.Namespace, path: Path | None = None) -> "Recordin
         raise RigError("\n".join([*map(str, causes), str(error)])) from None
 
 
-def begin(arguments: argparse.Namespace) -> "tuple[Recording, Callable[[Corners], None]]":
-    """(Recording, what looks at its corners once they are read): both refuse what is spoilt, unless anyway, and print what is unlikely.
+def checked(recording: "Recording", anyway: bool) -> "Callable[[Corners], None]":
+    """What looks at a recording's corners once they are read: both refuse what is spoilt, unless anyway, and print what is unlikely.
 
     Raises RigError that names the likeliest mistake first
     """
-    recording, anyway = loaded(arguments), arguments.anyway
     _judge_files(recording, anyway)
 
     def look(corners: "Corners") -> None:
@@ -50,15 +49,18 @@ def begin(arguments: argparse.Namespace) -> "tuple[Recording, Callable[[Corners]
 
         judge(looked(recording, corners), anyway)
 
-    return recording, look
+    return look
 
 
 def begin_all(arguments: argparse.Namespace, progress: "Progress") -> "tuple[Recording, Callable[[Corners], None], Together | None]":
-    """The same of the arguments that `add_recordings` adds: one Recording of them all, each checked by itself; and how they go together, None
-    for one alone. What is shared and what is each one's own is printed. Raises RigError besides for recordings that are not of one rig
+    """(Recording, what looks at its corners, see `checked`) of the arguments that `add_recordings` adds: one Recording of them all, each checked
+    by itself; and how they go together, None for one alone. What is shared and what is each one's own is printed.
+
+    Raises RigError that names the likeliest mistake first, and for recordings that are not of one rig
     """
     if not arguments.further:
-        return *begin(arguments), None
+        recording = loaded(arguments)
+        return recording, checked(recording, arguments.anyway), None
     if arguments.mask is not None:
         raise RigError("--mask names frames of one recording; with several, mask them one by one (rig measure REC --mask FRAMES --out ..)")
     from rig.together import by_instrument

@@ -37,18 +37,17 @@ def run(arguments: Namespace) -> None:
     from rig import recording as recordings
     from rig.design_file import with_cameras, with_places
 
-    hold = {part.strip() for part in arguments.hold.split(",") if part.strip()}
-    if hold - {"poses", "lenses"}:
-        raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(hold - {'poses', 'lenses'}))!r}")
-    progress = Progress()
+    free, progress = _free(arguments.hold), Progress()
     progress("reading the recording", 0, 1)
-    recording, look = checking.begin(arguments)
-    from_limbs.refuse_check(arguments)
-    if arguments.limbs is not None:
-        _by_limbs(arguments, recording, progress)
-        return
-    out = arguments.outputs.folder(arguments.out)
-    arguments.outputs.data = provenance.lines(provenance.marks(recording))
+    recording = checking.loaded(arguments)
+    with provenance.meanwhile(recording) as marks:
+        look = checking.checked(recording, arguments.anyway)
+        from_limbs.refuse_check(arguments)
+        if arguments.limbs is not None:
+            _by_limbs(arguments, recording, progress)
+            return
+        out = arguments.outputs.folder(arguments.out)
+        arguments.outputs.data = provenance.lines(marks())
 
     from calib.samples import uncertainty
     from calib.pages.measured import Measured, measurement_page
@@ -61,7 +60,7 @@ def run(arguments: Namespace) -> None:
     from vision.recorded import measure_recording
     from vision.targets import marker_map
 
-    measured, collected = measure_recording(recording, tuple(sorted({"poses", "lenses"} - hold)), arguments.detect, progress, arguments.places, look)
+    measured, collected = measure_recording(recording, free, arguments.detect, progress, arguments.places, look)
     held, determination = crossvalidate(measured.used(), measured.adjustment), determined(measured.adjustment)
     moved = places(measured, recording.exposures.times()[1]) if measured.places_free else None
     seen, as_seen = exchanged(recording), measured
@@ -106,6 +105,14 @@ def _stages(out: Path, measured: Measurement, total: int) -> None:
             position, rotation = uncertainty(own.covariance)
             worth = f", poses to {position * 1e3:.4f} mm and {rotation * 1e3:.4f} mrad"
         print(f"stage {stage}: {len(own.frames)} of {total} frames solved{worth}: poses_stage{stage}.csv")
+
+
+def _free(hold: str) -> tuple[str, ...]:
+    """What of the cameras is adjusted. Raises RigError for what --hold does not take"""
+    held, known = {part.strip() for part in hold.split(",") if part.strip()}, {"poses", "lenses"}
+    if held - known:
+        raise RigError(f"--hold takes 'poses' and 'lenses', not {', '.join(sorted(held - known))!r}")
+    return tuple(sorted(known - held))
 
 
 def _by_limbs(arguments: Namespace, recording: Recording, progress: Progress) -> None:

@@ -12,6 +12,7 @@ from calib.diagnose.problems.platform.linearised import linearise
 from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.search import search
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from rig.processes import MOST, parts
 from tests.calib.recorded import recorded
 
 
@@ -24,8 +25,19 @@ def processes(request, monkeypatch):
 def test_results_come_in_order_and_progress_reaches_the_end(processes):
     things, seen = [object() for _ in range(40)], []
     out = parallel.parallel_map(lambda thing: (things.index(thing), os.getpid()), things, lambda done, of: seen.append((done, of)))
-    assert [i for i, _ in out] == list(range(40)) and seen == [(i, 40) for i in range(1, 41)]
+    done = [of_all for of_all, of in seen if of == 40]
+    assert [i for i, _ in out] == list(range(40)) and done[-1] == 40 and len(done) == len(seen)
+    assert (np.diff([0, *done]) >= 1).all() and max(np.diff([0, *done])) <= (1 if processes == 1 else MOST)
     assert (len({pid for _, pid in out} - {os.getpid()}) > 0) == (processes > 1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_parts_hold_all_in_order_and_are_single_at_the_end(count):
+    for many in (0, 1, 5, 999):
+        shares = parts(range(many), count)
+        assert [thing for share in shares for thing in share] == list(range(many))
+        sizes = [len(share) for share in shares]
+        assert all(1 <= size <= MOST for size in sizes) and sizes == sorted(sizes, reverse=True) and (many == 0 or sizes[-1] == 1)
 
 
 def test_what_a_process_raises_is_raised_here(processes):

@@ -12,6 +12,7 @@ from rig.recording import Corners, Recording
 from vision.corners.detect import Detection, detect, dictionary_reader
 from vision.mistakes.sample import FRAMES
 from vision.reading.collect import image_reader
+from vision.reading.shared import in_parallel
 from vision.targets import MarkerMap, marker_map
 
 FAMILIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
@@ -53,7 +54,7 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
     e, frames = recording.exposures, recording.exposures.times()[0]
     reader = image_reader(recording)
     picked = frames[np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))]
-    sights, found = [], []
+    looked_at, found = [], []
     for frame, name in dict.fromkeys(zip(e.frame.tolist(), e.camera)):
         if frame not in picked or not name:
             continue
@@ -64,8 +65,9 @@ def _sights(recording: Recording, markers: MarkerMap, count: int) -> tuple[list[
             continue
         camera = recording.design.camera(name)
         if image is not None and image.shape == (camera.height, camera.width):
-            sights.append((frame, name, image, detect(image, camera, markers)))
-    return sights, found
+            looked_at.append((frame, name, image))
+    seen = in_parallel(lambda one: detect(one[2], recording.design.camera(one[1]), markers), looked_at, None)
+    return [(*one, detection) for one, detection in zip(looked_at, seen)], found
 
 
 def dictionaries(images: list[np.ndarray], seen: Counter, markers: MarkerMap) -> list[Mistake]:

@@ -1,5 +1,6 @@
 """Images of a recording -> its corners, images in parallel; and a second look where a marker ought to be."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -210,33 +211,31 @@ def look_again(recording: Recording, collected: Collected, measurement: Measurem
     FALSE_ALARM of its place.
     """
     camera_of = {camera.name: camera for camera in measurement.design.cameras}
-    seen = set(zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()))
+    seen = defaultdict(set)
+    for frame, name, number in zip(collected.corners.frame.tolist(), collected.corners.camera, collected.corners.marker.tolist()):
+        seen[frame, name].add(number)
     bodies = {k: dict(zip(m.frames.tolist(), m.T_base_platform)) for k, m in {0: measurement, **measurement.stages}.items()}
     work, folder = [], everywhere(recording.folder)
-    for i, name in enumerate(recording.exposures.image):
-        frame, camera = int(recording.exposures.frame[i]), camera_of.get(recording.exposures.camera[i])
-        if not name or camera is None or camera.mount == "moving":
-            continue
-        for stage, poses in bodies.items():
-            if frame not in poses:
-                continue
-            rows, places = expected(camera, poses[frame], marker_map)
-            fresh = [k for k, row in enumerate(rows) if marker_map.stage[row] == stage and (frame, camera.name, int(marker_map.id[row])) not in seen]
-            if fresh:
-                work.append((frame, camera, name, marker_map.id[rows[fresh]], places[fresh]))
+    for frame, camera_name, name in zip(recording.exposures.frame.tolist(), recording.exposures.camera, recording.exposures.image):
+        camera = camera_of.get(camera_name)
+        if name and camera is not None and camera.mount != "moving":
+            work += [(camera, name, stage, poses[frame], seen[frame, camera_name], frame) for stage, poses in bodies.items() if frame in poses]
 
     spread = collected.spread
 
-    def one(item: tuple[int, Camera, str, np.ndarray, np.ndarray]) -> Detection:
-        _, camera, name, numbers, places = item
+    def one(item: tuple[Camera, str, int, RigidTransform, set[int], int]) -> Detection | None:
+        camera, name, stage, T, read, _ = item
+        rows, places = expected(camera, T, marker_map)
+        fresh = [k for k, row in enumerate(rows) if marker_map.stage[row] == stage and int(marker_map.id[row]) not in read]
+        if not fresh:
+            return None
+        numbers, places = marker_map.id[rows[fresh]], places[fresh]
         _, full = grey(read_image(folder / name))
-        return place(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
-
-    found = []
-    for (frame, camera, _, numbers, places), d in zip(work, shared_out(one, work, progress)):
+        d = place(full, camera, marker_map, Read(numbers, places), spread.get(camera.name, PLAIN), verify=True)
         at = [numbers.tolist().index(number) for number in d.marker]
-        near = np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool)
-        found.append((frame, camera.name, d.take(near)))
+        return d.take(np.abs(d.corners - places[at]).max(axis=(1, 2)) < FALSE_ALARM if len(at) else np.zeros(0, bool))
+
+    found = [(frame, camera.name, d) for (camera, *_, frame), d in zip(work, shared_out(one, work, progress)) if d is not None]
     extra, correlation = corners_of(found)
     return replace(collected, corners=_joined(collected.corners, extra), correlation=np.concatenate([collected.correlation, correlation]))
 
