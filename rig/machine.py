@@ -100,10 +100,19 @@ def effective(design: Design, commands: Commands, t: np.ndarray, T: RigidTransfo
 
     Sway counts as struts' length. The machine stands at T where this is the inverse kinematics of T. Raises as `motion`
     """
+    out, sway = reached(design, commands, t, T, effects, sensors)
+    return out + swayed(design, T, sway) if sway.any() else out
+
+
+def reached(design: Design, commands: Commands, t: np.ndarray, T: RigidTransform, effects: Sequence[Effect] = (),
+            sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """((n, axes) m or rad that commands become, (n, 6) sway of the platform beyond that) under effects, taken at T (n,) as in `effective`.
+
+    What joints hold is displaced along with them in ways that no joint may make up for. Raises as `motion`
+    """
     state = replace(motion(design, commands, t, effects, sensors), T=T)
     out = state.lengths + sum((e.deviation(state) for e in effects), np.zeros(state.lengths.shape))
-    sway = sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
-    return out + swayed(design, T, sway) if sway.any() else out
+    return out, sum((e.sway(state) for e in effects), np.zeros((len(state.t), 6)))
 
 
 def swayed(design: Design, T: RigidTransform, sway: np.ndarray) -> np.ndarray:

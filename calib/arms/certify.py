@@ -1,6 +1,7 @@
 """What an arm's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from calib.arms.identify import Identified, identify, needed, parameters
 from calib.arms.observations import KINDS, Observations, of_samples
 from calib.arms.place import placed
 from calib.arms.rank import PLAUSIBLE
+from calib.arms.with_physics import Together
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
@@ -31,8 +33,8 @@ UNPLACED = {"orientation": "orientations alone were measured, which tell nothing
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
     """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut on whole stretches; scattered : the same on single rows drawn at random, which flatter, since
-    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone; all None where there are too few
+    held_out : HeldOut on whole stretches, physics refitted without them; scattered : the same on single rows drawn at random, which flatter, since
+    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone, without physics; all None where there are too few
     configurations to hold any out"""
 
     correction: ArmCorrection
@@ -43,12 +45,20 @@ class Certified:
     geometry: HeldOut | None
 
 
+class _Way(NamedTuple):
+    """How held-out poses are predicted: with the physics that was found, with joint profiles on top."""
+
+    physics: bool
+    profiles: bool
+
+
 def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: np.random.Generator,
-            progress: Progress | None = None) -> Certified:
+            progress: Progress | None = None, physics: Together | None = None) -> Certified:
     """Certified : geometry and joint profiles of an arm, the profiles only where they pay on held-out stretches.
 
-    samples : Samples; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
+    samples : Samples as measured; nominal : Arm as its owner believes it; instrument : Instrument or None (poses in the rig's own frames)
     rng : numpy Generator, for the random rows and the bootstrap; progress : called with (label, done, of), or None
+    physics : Together of what was found, which then is part of the model, or None
     Raises NotEnoughData, RigError as `calibrate`
     """
     said = progress or silent
@@ -57,22 +67,25 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     said("fitting the geometry", 0, 1)
     _enough_for_any(samples, nominal)
     start = start_of(of_samples(samples), nominal, instrument)  # a basin, not a fit: the folds' own fits forget it
-    correction, found = calibrate(samples, nominal, instrument, False, start)
+    known = samples if physics is None else physics.samples
+    correction, found = calibrate(known, nominal, instrument, False, start)
     said("fitting the geometry", 1, 1)
     if not _enough(samples, found, label, parts):
         return Certified(correction, found, label, None, None, None)
-    in_part = samples.measured in UNPLACED
-    plain, *rest = _held_out(samples, nominal, instrument, (parts, start), (False,) if in_part else (False, True), said)
-    full = plain if in_part else rest[0]
+    in_part, asked = samples.measured in UNPLACED, physics is not None
+    ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [_Way(False, False)] * asked
+    errors = dict(zip(ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said)))
+    plain = errors[ways[0]]
+    full = plain if in_part else errors[ways[1]]
     scale = 1.0 if in_part else _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     profiled = not in_part and pays(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
-    (scattered,) = _held_out(samples, nominal, instrument, (rows, start), (profiled,), said)
+    (scattered,) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
     if profiled:
-        correction, found = _profiled(samples, correction, found)
+        correction, found = _profiled(known, correction, found)
     covariance = samples.total_covariance()
-    held = [compare(*errors, covariance, rng, label) for errors in (full if profiled else plain, scattered, plain)]
+    held = [compare(*each, covariance, rng, label) for each in (full if profiled else plain, scattered, errors[_Way(False, False)])]
     return Certified(correction, _as_stated(found, samples.measured), label, *held)
 
 
@@ -119,7 +132,8 @@ def _geometry(samples: Samples, nominal: Arm, instrument: Instrument | None, sta
     observations = of_samples(samples)
     start = start_of(observations, nominal, instrument) if start is None else start
     found = identify(observations, start)
-    return ArmCorrection(owners_model(observations, nominal, instrument, start), found.arm, (None,) * len(nominal.joints), observations.q), found
+    owners = owners_model(of_samples(replace(samples, known=None)), nominal, instrument, start)  # it knows of no physics
+    return ArmCorrection(owners, found.arm, (None,) * len(nominal.joints), samples.commanded), found
 
 
 def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) -> tuple[ArmCorrection, Identified]:
@@ -131,7 +145,7 @@ def _profiled(samples: Samples, correction: ArmCorrection, found: Identified) ->
         if not any(parts):
             break
         effective = observations.q - replace(correction, remainder=parts).rho(observations.q)
-        found = identify(replace(observations, q=effective), found.arm)
+        found = identify(replace(observations, q=effective), found.arm, parameters(correction.nominal, observations.kind))
     return replace(correction, fitted=found.arm, remainder=parts), found
 
 
@@ -169,18 +183,21 @@ def model_covariance(calibration: Calibration, commands: np.ndarray) -> np.ndarr
     return covariance + (joints * correction.extension.error(commands)[:, None] ** 2) @ np.swapaxes(joints, 1, 2)
 
 
-def _held_out(samples: Samples, nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], profiles: tuple[bool, ...],
+def _held_out(known: tuple[Samples, Together | None], nominal: Arm, instrument: Instrument | None, plan: tuple[np.ndarray, Arm], ways: list[_Way],
               said: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(before, after), (n, 6) each, of parts held out in turn, by the geometry alone and with profiles, as asked for."""
-    part, start = plan
-    out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in profiles]
+    """(before, after), (n, 6) each, of parts held out in turn, in each of the ways asked for."""
+    (samples, physics), (part, start) = known, plan
+    out = [(np.empty((len(samples), 6)), np.empty((len(samples), 6))) for _ in ways]
     for k in np.unique(part):
-        rest, held = samples.take(part != k), samples.take(part == k)
-        plain = _geometry(rest, nominal, instrument, start)
-        for (before, after), profiled in zip(out, profiles):
-            correction, _ = _profiled(rest, *plain) if profiled else plain
-            before[part == k], after[part == k] = errors_of(correction, held)
-        said("holding configurations out" + (", joints corrected" if any(profiles) else ""), int(k) + 1, part.max() + 1)
+        told = {False: samples} if physics is None else {False: samples, True: physics.without(part == k)}
+        plain = {asked: _geometry(told[asked].take(part != k), nominal, instrument, start) for asked in {way.physics for way in ways}}
+        for (before, after), (asked, profiled) in zip(out, ways):
+            correction, found = plain[asked]
+            if profiled:
+                correction, _ = _profiled(told[asked].take(part != k), correction, found)
+            before[part == k], _ = errors_of(correction, samples.take(part == k))
+            _, after[part == k] = errors_of(correction, told[asked].take(part == k))
+        said("holding configurations out" + (", joints corrected" if any(way.profiles for way in ways) else ""), int(k) + 1, part.max() + 1)
     return out
 
 
@@ -212,7 +229,8 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T),
                           (scatter**2).reshape(2, 3).sum(axis=1) + extension_scatter(correction, q, model.joint_jacobian(q, found.arm)), words)
     observed = of_samples(each)
-    again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted)
+    free = parameters(correction.nominal, observed.kind)  # of the figures stated: axes found a little off parallel tell no more
+    again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
     whitened = np.linalg.solve(np.linalg.cholesky(observed.covariance + np.diag(again.scatter**2)), again.residuals[..., None])[again.inliers]
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.arms import model
 from calib.arms.profile import Profile
-from calib.correct.correction import Correction
+from calib.correct.correction import Correction, Responses
 from rig.design import Arm
 from rig.errors import Unreachable
 from rig.mechanisms import arm as mechanism
@@ -26,6 +26,7 @@ TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
 NEAR = 0.05  # m and rad; what the owner's model may leave of a pose for its joint solution to be a start
 STEP = 0.3  # rad; longest single correction
 FAR, LIKE, MET = 0.05, 1e-6, 1e-10  # m and rad; of an arm of few joints: out of reach, as near as any, a position that is met
+NEAR_SINGULAR = 1e-6  # of the greatest singular value of a Jacobian; less is a direction that no joint moves in
 RADIUS = 0.3  # m; a radian weighs like so much when the nearest visited pose is looked for
 
 
@@ -52,6 +53,24 @@ class ArmCorrection(Correction[Arm, Profile]):
         if self.deficient:
             return self._nearest(T_base_platform, self._near(T_base_platform), self.nominal, None)
         return mechanism.inverse(T_base_platform, self.nominal, self._near(T_base_platform)[:, 0])
+
+    def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+        """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest to them."""
+        return self.predict(commands) if self.deficient else T_base_platform
+
+    def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
+        """(n, joints) rad or m that the fitted arm has to get for poses (n,), nearest to commands (n, joints). Raises Unreachable as `inverse`"""
+        commands = self.inverse(T_base_platform, near)
+        return commands - self.rho(commands)
+
+    def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
+        """Responses of the arm at what its joints get, effective (n, joints) rad or m."""
+        axes = model.joint_jacobian(effective, self.fitted)
+        return Responses(axes, np.linalg.pinv(axes, rcond=NEAR_SINGULAR), model.parameter_jacobian(effective, self.fitted))
+
+    def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
+        """(n, 6, 6) m and rad, factor of the covariance by which poses scatter. scatter : (6,) of poses, (3,) of positions alone"""
+        return np.broadcast_to(np.diag(np.r_[scatter, np.zeros(6 - len(scatter))]), (len(responses.axes), 6, 6))
 
     def rest(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
         """(..., 6) m and rad that commands (..., joints) leave to wanted poses (...), in the hand: what too few joints cannot make up for."""

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arms import model
 from calib.arms.certify import UNPLACED, Certified, calibrate, owners_model, start_of
 from calib.arms.correction import ArmCorrection
-from calib.arms.identify import Identified, identify
+from calib.arms.identify import Identified, identify, parameters
 from calib.arms.observations import of_samples
 from calib.arms.rank import PLAUSIBLE, Rank
 from calib.certify.certificate import Progress, silent
@@ -134,7 +134,7 @@ def _without(samples: Samples, correction: ArmCorrection, found: Identified, alo
     effective = replace(o, q=o.q - correction.rho(o.q))
     if alone or correction.extension is None:
         return replace(found, residuals=effective.residuals(correction.fitted) - np.einsum("mkj,j->mk", o.common, found.shared))
-    again = identify(effective, correction.fitted)
+    again = identify(effective, correction.fitted, parameters(correction.nominal, effective.kind))
     return replace(again, arm=found.arm, rank=found.rank)
 
 

@@ -19,7 +19,7 @@ class Observations:
     kind : "pose" (laser tracker with a 6D probe, CMM, vision), "position" (tracker with a reflector, CMM touching a ball), "orientation"
     (inclinometers, an autocollimator, a camera whose target's size is not known: eq. 4.64 alone) or "distance"
     (a drawn wire; it runs from the origin of the frame of poses to the target)
-    q : (m, n) rad, commanded
+    q : (m, n) rad, commanded, or what that became by the physics that is known
     value : RigidTransform (m,), also of orientations, (m, 3) m or (m,) m
     covariance : (m, k, k) of an observation's own error, k = 6 (tangent on the right), 3 (positions: frame of poses; orientations: on the
     right) or 1, m and rad
@@ -80,19 +80,20 @@ def rows(kind: str, J: np.ndarray, q: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def of_samples(samples: Samples) -> Observations:
-    """Observations of Samples: whole poses, or what of them was measured (the variance of the rest is infinite)."""
+    """Observations of Samples: whole poses, or what of them was measured (the variance of the rest is infinite), at what commands became by the
+    physics that is known."""
     if samples.measured == "pose":
         return of_poses(samples)
     if samples.measured == "orientation":
-        return of_orientations(samples.commanded, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
+        return of_orientations(samples.effective, samples.T_base_platform, np.sqrt(samples.covariance[:, 3, 3]))
     if samples.measured == "distance":
-        return of_distances(samples.commanded, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0]))
-    return of_positions(samples.commanded, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
+        return of_distances(samples.effective, samples.T_base_platform.translation[:, 0], np.sqrt(samples.covariance[:, 0, 0]))
+    return of_positions(samples.effective, samples.T_base_platform.translation, np.sqrt(samples.covariance[:, 0, 0]))
 
 
 def of_poses(samples: Samples) -> Observations:
     """Observations of Samples: whole poses, with their covariance and their common errors."""
-    return Observations("pose", samples.commanded, samples.T_base_platform, samples.covariance, samples.common)
+    return Observations("pose", samples.effective, samples.T_base_platform, samples.covariance, samples.common)
 
 
 def of_positions(q: np.ndarray, positions: np.ndarray, sigma: float | np.ndarray) -> Observations:

@@ -1,6 +1,6 @@
 """A calibration as it is kept: what corrects, how well its parameters are known, what it is worth, and where it came from."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,8 +51,7 @@ class Calibration:
         """The samples of a recording with what physics says of their commands, under the recording's own sensors and history."""
         if self.physics is None or recording.commands is None:
             return samples
-        known = self.physics.known(self.correction.fitted, recording.commands, samples.t, samples.T_base_platform, recording.sensors)
-        return replace(samples, known=known)
+        return self.physics.told(self.correction.fitted, samples, recording.commands, recording.sensors)
 
     def refuse_physics(self, what: str) -> None:
         """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)

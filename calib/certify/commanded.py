@@ -1,16 +1,19 @@
 """Wanted poses -> commands through a calibration, with an approach where it makes a pose surer, and how sure each pose then is."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
+from calib.correct.correction import Responses
 from calib.correct.physics import Physics
 from calib.correct.driven import Machine, held, memory, unremembered
 from calib.correct.route import Pace, Route, timed, untimed
-from calib.identify.geometry import pose_jacobian, strut_jacobian, to_pose
 from rig import mechanisms
+from rig.effects.base import Effect
 from rig.errors import NotConverged, Unreachable
 from rig.plan import SPEED, UNSTATED_SPEED
 from rig.recording import Sensors
@@ -21,20 +24,23 @@ ANY_TIME, GOLDEN = 60.0, 0.5 * (np.sqrt(5) - 1)  # s over which moments are spre
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commanded:
-    """values : (n, axes) m or rad to command at the wanted poses; route : Route; covariance : (n, 6, 6) of the poses that come of them (m, rad,
-    on the right), None for an arm; missing : sensor channels that nobody logged, whose spread is in it."""
+    """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come of them by the calibration,
+    those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad, on the right), None for a chain, and for an arm without
+    physics; missing : sensor channels that nobody logged, whose spread is in it."""
 
     values: np.ndarray
     route: Route
+    T_base_platform: RigidTransform
     covariance: np.ndarray | None
     missing: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spread:
-    """covariance : (n, 6, 6) of poses; missing : channels that nobody logged and that change something."""
+    """covariance : (n, 6, 6) of poses; responses : Responses there; missing : channels that nobody logged and that change something."""
 
     covariance: np.ndarray
+    responses: Responses
     missing: tuple[str, ...]
 
 
@@ -58,22 +64,24 @@ def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
     plain = calibration.correction.inverse(T) if given is None else given
+    T = calibration.correction.taken(T, plain)
     route = untimed(plain, start) if pace is None else timed(pace, plain, start)
     if given is not None:
-        return Commanded(given, route, None, ())
+        return Commanded(given, route, T, None, ())
     values = held(of, T, route, plain) if of.effects else plain
-    if calibration.correction.fitted.kind in ("arm", "chain"):
-        return Commanded(values, route, None, ())
-    back = to_pose(T, calibration.correction.fitted)
+    kind = calibration.correction.fitted.kind
+    if kind == "chain" or (kind == "arm" and calibration.physics is None):
+        return Commanded(values, route, T, None, ())
     base = _covariance(calibration, of, T, route, values)
     if pace is not None and approach != "never" and memory(of).any():
-        sure = _struts(base.covariance, strut_jacobian(T, calibration.correction.fitted)) if approach == "auto" else None
+        sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
         found = _approached(of, T, route, values, pace, sure)
         if found is not route:
             route, values = found, held(of, T, found, values)
             base = _covariance(calibration, of, T, route, values)
     doubt = unremembered(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
-    return Commanded(values, route, base.covariance + np.einsum("nij,nj,nkj->nik", back, doubt, back), base.missing)
+    forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
+    return Commanded(values, route, T, base.covariance + forgotten, base.missing)
 
 
 def _approached(of: Machine, T: RigidTransform, route: Route, values: np.ndarray, pace: Pace, sure: np.ndarray | None) -> Route:
@@ -110,7 +118,7 @@ def _exists(of: Machine, T: RigidTransform, values: np.ndarray) -> np.ndarray:
     return there
 
 
-def _struts(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
+def _axes(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
     """(n, axes) variances of the axes that poses' covariance (n, 6, 6) amounts to. A : (n, axes, 6) of the axes with the pose"""
     return np.einsum("nij,njk,nik->ni", A, covariance, A)
 
@@ -118,37 +126,42 @@ def _struts(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
 def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route: Route, values: np.ndarray) -> _Spread:
     """_Spread: parameters of geometry and physics together, the struts' own scatter, channels that nobody logged, and what comes again at no
     moment that anybody knows. docs/mathematics.md (21)"""
-    fitted, physics = calibration.correction.fitted, calibration.physics
-    back, J = to_pose(T, fitted), pose_jacobian(T, fitted)
-    known = calibration.covariance
-    parts, missing = [back * calibration.scatter], []
+    physics, commands, t = calibration.physics, route.commands(values), route.times
+    responses = calibration.correction.responses(T, of.effective(commands, t, T))
+    J, known = responses.parameters, calibration.covariance
+    parts, missing = [calibration.correction.scattering(calibration.scatter, responses)], []
+
+    def stands(at: np.ndarray, effects: tuple[Effect, ...] = of.effects, sensors: Sensors | None = None) -> np.ndarray:
+        """(n, 6) m and rad, of which differences tell how the machine moves between effects, or sensors, at times `at` (n,) s."""
+        lengths, sway = of.reached(commands, at, T, effects, sensors)
+        return (responses.axes @ lengths[..., None])[..., 0] + sway
+
     if physics is not None:
-        commands, t = route.commands(values), route.times
-        middle = of.effective(commands, t, T)
-        J = np.concatenate([J, back @ _columns(physics, of, route, values, T)], axis=2)
+        middle = stands(t)
+        J = np.concatenate([J, _columns(physics, of, partial(stands, t))], axis=2)
         known = np.block([[known, physics.cross], [physics.cross.T, physics.own]])
         for name in of.missing:
             course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
-            moved = of.effective(commands, t, T, sensors=Sensors(of.sensors.t, course)) - middle
+            moved = stands(t, sensors=Sensors(of.sensors.t, course)) - middle
             if moved.any():
-                parts.append(back @ moved[..., None])
+                parts.append(moved[..., None])
                 missing.append(name)
         any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
         for effect in physics.scattering():
-            ends = [of.effective(commands, any_time, T, effects) for effects in (of.effects, (*of.effects, effect))]
-            moved = back @ (ends[1] - ends[0])[..., None]
+            moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
             parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
-    return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), tuple(missing))
+    return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), responses, tuple(missing))
 
 
-def _columns(physics: Physics, of: Machine, route: Route, values: np.ndarray, T: RigidTransform) -> np.ndarray:
-    """(n, axes, c) m by which the struts lengthen with each coordinate of the physics; nothing for what commands do not undo."""
-    out = np.zeros((*values.shape, len(physics.coordinates)))
+def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], np.ndarray]) -> np.ndarray:
+    """(n, 6, c) m and rad by which poses move with each coordinate of the physics; nothing for what commands do not undo.
+
+    stands : effects -> (n, 6), of which differences tell how the machine moves between them
+    """
+    out = np.zeros((*stands(()).shape, len(physics.coordinates)))
     for i, c in enumerate(physics.coordinates):
         effect = physics.effects[c.effect]
-        if effect not in of.effects:
-            continue
-        others, (high, low) = tuple(e for e in of.effects if e is not effect), c.around(effect)
-        ends = [of.effective(route.commands(values), route.times, T, (*others, c.written(effect, end))) for end in (high, low)]
-        out[..., i] = (ends[0] - ends[1]) / (high - low)
+        if effect in of.effects:
+            ends, between = c.ends_of(physics.effects, of.effects)
+            out[..., i] = (stands(ends[0]) - stands(ends[1])) / between
     return out

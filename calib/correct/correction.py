@@ -8,12 +8,12 @@ Source: configuration-space patent, [0024]-[0031], [0130]-[0137].
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.identify.geometry import Identified, identify
+from calib.identify.geometry import Identified, identify, pose_jacobian, strut_jacobian, to_pose
 from calib.identify.tolerance import tolerance
 from calib.correct.interpolate import radial
 from calib.correct.interpolate.field import Field
@@ -36,6 +36,15 @@ ROUNDS = 2  # of fitting the geometry and the remainder in turn
 
 M = TypeVar("M", bound=Hexapod | Planar2 | Arm | Chain)
 R = TypeVar("R", bound=Callable[[np.ndarray], np.ndarray])
+
+
+class Responses(NamedTuple):
+    """How poses change (m and rad, on the right). axes : (n, 6, axes) with the axes; back : (n, axes, 6) the axes with the pose
+    parameters : (n, 6, p) with the geometry's parameters."""
+
+    axes: np.ndarray
+    back: np.ndarray
+    parameters: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +115,23 @@ class Correction(Generic[M, R]):
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that the owner's model gives for wanted poses (...), for comparison."""
         return mechanisms.of(self.nominal).inverse(T_base_platform, self.nominal)
+
+    def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
+        """The poses (n,) that commands (n, axes) found for wanted poses (n,) give: these themselves, but for a machine of too few axes."""
+        return T_base_platform
+
+    def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
+        """(n, axes) m or rad that the fitted geometry has to get for poses (n,). near : (n, axes), commands where there is more than one way."""
+        return mechanisms.of(self.fitted).inverse(T_base_platform, self.fitted)
+
+    def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
+        """Responses at poses (n,), of which the fitted geometry gets effective (n, axes) m or rad."""
+        fitted = struts_of(self.fitted)
+        return Responses(to_pose(T_base_platform, fitted), strut_jacobian(T_base_platform, fitted), pose_jacobian(T_base_platform, fitted))
+
+    def scattering(self, scatter: np.ndarray, responses: Responses) -> np.ndarray:
+        """(n, 6, k) m and rad, factor of the covariance by which poses scatter. scatter : as a Calibration has it, of each strut"""
+        return responses.axes * scatter
 
     def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for `reachable` to check.

@@ -16,12 +16,15 @@ from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.correct.route import Route
 from rig import machine, mechanisms
+from rig.design import Arm
 from rig.effects.base import Effect
 from rig.errors import NotConverged, RigError
+from rig.pose import exp
 from rig.recording import Commands, Sensors
 
 ITERATIONS = 300
 TOLERANCE = 1e-10  # m or rad, to which commands are written
+SWAYED = 0.1  # of the tolerance, by which a hand may stand elsewhere before its joints are sought anew
 STUCK = 0.5  # of the last step; an axis that is left with more than this, on the same side, takes twice the step next
 LONG_AGO = 1e6  # s before a route, when the axes may have come to its start from either side
 
@@ -47,24 +50,35 @@ class Machine:
     def effective(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,
                   sensors: Sensors | None = None) -> np.ndarray:
         """(n, axes) m or rad that the fitted geometry gets of commands at times t (n,) s and poses T (n,). effects, sensors : in place of its own"""
+        return self.reached(commands, t, T, effects, sensors)[0]
+
+    def reached(self, commands: Commands, t: np.ndarray, T: RigidTransform, effects: tuple[Effect, ...] | None = None,
+                sensors: Sensors | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """(the same, (n, 6) m and rad by which an arm's hand stands beyond that, which of struts counts as their length)."""
         effects = self.effects if effects is None else effects
-        if self.physics is None or not effects:
-            lengths = commands.at(t)
-        else:
-            lengths = machine.effective(self.physics.machine(self.correction.fitted), commands, t, T, effects, sensors or self.sensors)
-        return lengths - self.correction.rho(lengths)
+        lengths, sway = commands.at(t), np.zeros((len(t), 6))
+        if self.physics is not None and effects:
+            design, sensed = self.physics.machine(self.correction.fitted), sensors or self.sensors
+            if isinstance(design.mechanism, Arm):
+                lengths, sway = machine.reached(design, commands, t, T, effects, sensed)
+            else:
+                lengths = machine.effective(design, commands, t, T, effects, sensed)
+        return lengths - self.correction.rho(lengths), sway
 
 
 def held(of: Machine, T: RigidTransform, route: Route, guess: np.ndarray) -> np.ndarray:
-    """(n, axes) m or rad to command at the poses T (n,) of a Route, each row's history that of the rows before. guess : (n, axes)
+    """(n, axes) m or rad to command at the poses T (n,) of a Route, each row's history that of the rows before. guess : (n, axes), near
 
     Raises NotConverged with index, commands and residual of the poses for which none is found, to 1e-10 m or rad
     """
-    fitted, t, commands = of.correction.fitted, route.times, guess.copy()
-    goal = mechanisms.of(fitted).inverse(T, fitted)
+    t, commands, swayed = route.times, guess.copy(), np.zeros((len(guess), 6))
+    goal = of.correction.goal(T, guess)
     before, size = np.zeros_like(guess), np.ones_like(guess)
     for _ in range(ITERATIONS):
-        left = goal - of.effective(route.commands(commands), t, T)
+        lengths, sway = of.reached(route.commands(commands), t, T)
+        if np.abs(sway - swayed).max(initial=0.0) > SWAYED * TOLERANCE:
+            goal, swayed = of.correction.goal(T * exp(-sway), commands), sway
+        left = goal - lengths
         if np.abs(left).max(initial=0.0) < TOLERANCE:
             return commands
         stuck = (np.abs(left) > STUCK * np.abs(before)) & (left * before > 0)

@@ -1,15 +1,17 @@
 """Physics that was found to be left out of a geometry, kept with it so that commands can undo it: effects, how sure they are, what they look at."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
+from calib.samples import Samples
 from rig import machine
 from rig.design import Actuator, Arm, Chain, Design, Platform
 from rig.effects.base import MOTION_STAGES, Effect
 from rig.effects.coordinate import Coordinate, coordinates_of
 from rig.kinds import Struts
+from rig.pose import exp
 from rig.recording import Commands, Sensors
 
 ANOTHER_DAY = 2.0  # K, standard deviation by which a room and its struts differ from one day to another
@@ -74,7 +76,16 @@ class Physics:
         """Those that it shows again, at no moment that anybody knows: what happened once is over."""
         return tuple(e for e in self.effects if not e.lasting and e.stage in MOTION_STAGES and not any(p.role == "moment" for p in e.parameters))
 
-    def known(self, mechanism: Struts | Arm | Chain, commands: Commands, t: np.ndarray, T: RigidTransform, sensors: Sensors | None) -> np.ndarray:
-        """(n, axes) m by which axes stand beyond commands at times t (n,) s and poses T (n,), as far as this physics says."""
-        there, _ = self.sensed(sensors, t)
-        return machine.effective(self.machine(mechanism), commands, t, T, self.undone(), there) - commands.at(t)
+    def told(self, mechanism: Struts | Arm | Chain, samples: Samples, commands: Commands, sensors: Sensors | None) -> Samples:
+        """Samples with what this physics says of their commands, which lasts; mechanism : fitted."""
+        there, _ = self.sensed(sensors, samples.t)
+        return told(self.machine(mechanism), samples, commands, self.undone(), there)
+
+
+def told(design: Design, samples: Samples, commands: Commands, effects: Sequence[Effect], sensors: Sensors | None) -> Samples:
+    """Samples with what effects do to their commands; what they do to an arm beyond its joints is taken off its poses."""
+    t, T = samples.t, samples.T_base_platform
+    if not isinstance(design.mechanism, Arm):
+        return replace(samples, known=machine.effective(design, commands, t, T, effects, sensors) - samples.commanded)
+    values, sway = machine.reached(design, commands, t, T, effects, sensors)
+    return replace(samples, known=values - samples.commanded, T_base_platform=T * exp(-sway) if sway.any() else T)

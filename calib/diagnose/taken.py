@@ -1,5 +1,6 @@
 """What a diagnosis found, taken into a calibration: refined with geometry and cameras on the calibration's own recording."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from calib.certify.certificate import Certified, Progress, silent
 from calib.correct.physics import Physics, Unknown
 from calib.diagnose.engine.chance import Z95
+from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.marker_identity import exchanged
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
@@ -78,8 +80,12 @@ class Taken:
 
 def of_diagnosis(found: PlatformDiagnosis) -> Findings:
     """Findings of a diagnosis of the recording that is calibrated."""
-    unknown = tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in found.left)
-    return Findings((*found.swapped, *found.effects), None, unknown)
+    return Findings((*found.swapped, *found.effects), None, nameless(found.left))
+
+
+def nameless(left: Iterable[LackOfFit]) -> tuple[Unknown, ...]:
+    """What a diagnosis found and has no name for."""
+    return tuple(Unknown(u.place, u.magnitude, u.unit, tuple(u.depends_on), False) for u in left)
 
 
 def of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Findings:
@@ -119,7 +125,8 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         ends = value.get("ci95")
         if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
             value.fail(f"{value.name('ci95')} must hold two ends, not {ends}", "ci95")
-        low, high = np.array(ends, float) if c.index is None else np.array(ends, float)[:, c.index]
+        numbers = effects[c.effect].fitted(next(p for p in effects[c.effect].parameters if p.name == c.name))  # which of a vector are listed
+        low, high = np.array(ends, float) if c.index is None else np.array(ends, float)[:, numbers.index(c.index)]
         out.append(abs(c.measured(high) - c.measured(low)) / (2 * Z95))
     return np.array(out)
 
@@ -144,7 +151,7 @@ def take(recording: Recording, sampled: Sampled, findings: Findings, progress: P
     known = replace(k, T=samples.T_base_platform).effective() - samples.commanded
     design = recording.design
     physics = Physics(effects, own, np.zeros((len(parameters(nominal)), len(own))), design.gravity, design.actuator, design.platform,
-                      _channels(recording, samples.t), findings.unknown)
+                      channels(recording, samples.t), findings.unknown)
     return Taken(replace(samples, known=known), physics, refined)
 
 
@@ -166,7 +173,7 @@ def _motion(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
     return tuple(e for e in effects if e.stage in MOTION_STAGES)
 
 
-def _channels(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
+def channels(recording: Recording, t: np.ndarray) -> dict[str, tuple[float, float]]:
     """{channel: (median, standard deviation about it)} of a recording's sensors at times t (n,) s."""
     if recording.sensors is None:
         return {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands import checking, extending, from_limbs, own_effects
 from rig.commands.output import SEED, Progress, add_force, add_recordings, add_result, file_or_stdout, length, near, print_comparison, print_unsolved
-from rig.commands.worth import say_physics, tell
+from rig.commands.worth import say_joints, say_physics, tell
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from calib.certify.claim import Claim
     from calib.correct.physics import Physics
     from calib.diagnose.taken import Findings, Taken
+    from calib.diagnose.taken_arm import TakenArm
     from calib.pipeline import Sampled
     from calib.samples import Samples
     from calib.store import Calibration
@@ -81,7 +82,8 @@ def run(arguments: Namespace) -> None:
     elif nominal.kind == "chain":
         calibration = _chain(recording, sampled, (out, page, links), arguments.argv, rng, progress)
     elif nominal.kind == "arm":
-        calibration = _arm(recording, sampled, (out, page, links), arguments.argv, rng, progress)
+        known = _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
+        calibration = _arm(recording, sampled, (out, page, links), arguments.argv, rng, progress, known)
     else:
         taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
         calibration = _struts(recording, sampled, (out, page, links), arguments.argv, rng, progress, arguments.joint, taken)
@@ -95,8 +97,8 @@ def run(arguments: Namespace) -> None:
 def _findings(arguments: Namespace, recording: Recording, own: Kinds) -> Findings | None:
     """Findings of the diagnosis that is named, None where none is. Raises RigError for what cannot take any in."""
     asked = "--find" if arguments.find else "--diagnosis" if arguments.diagnosis is not None else None
-    if asked and recording.design.mechanism.kind in ("arm", "chain"):
-        raise RigError(f"{asked} is for platforms on struts; an arm's joints are corrected over its configuration space, a chain by its geometry")
+    if asked and recording.design.mechanism.kind == "chain":
+        raise RigError(f"{asked} is for platforms on struts and for arms; a chain is corrected by its geometry")
     if asked and arguments.joint:
         raise RigError(f"{asked} solves cameras, lenses, geometry and physics from all corners together; leave out --joint")
     if asked and arguments.limbs:
@@ -120,6 +122,16 @@ def _taken(recording: Recording, sampled: Sampled, findings: Findings | None, ow
     if findings is None:
         findings = of_diagnosis(diagnose(recording, progress=progress, sampled=sampled, kinds=tuple(own.values())))
     return take(recording, sampled, findings, progress)
+
+
+def _taken_arm(recording: Recording, sampled: Sampled, findings: Findings | None, own: Kinds, progress: Progress) -> TakenArm:
+    """TakenArm of findings; of what a diagnosis of the recording itself finds where these are None."""
+    from calib.diagnose.problems.arm.diagnose import diagnose
+    from calib.diagnose.taken_arm import of_arm_diagnosis, take_arm
+
+    if findings is None:
+        findings = of_arm_diagnosis(diagnose(recording, progress=progress, kinds=tuple(own.values())))
+    return take_arm(recording, sampled, findings, progress)
 
 
 def _write_summands(path: Path, samples: Samples, calibration: Calibration) -> None:
@@ -207,25 +219,20 @@ def _before(path: Path, nominal: Any) -> Calibration:
 
 
 def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator,
-         progress: Progress) -> Calibration:
+         progress: Progress, taken: TakenArm | None) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
     from rig.kinds import arm_of
 
-    done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
-    claim = promised(sampled.samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done, claim)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), claim, progress)
-    if done.held_out and done.geometry and done.scattered:
+    together = None if taken is None else taken.together
+    samples = sampled.samples if together is None else together.samples
+    done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
+    claim = promised(samples, done, rng)
+    calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), claim, progress)
+    if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
-        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
-        print("beyond the geometry: " + (f"joints {', '.join(map(str, kept))} corrected over the configuration space; the geometry alone leaves "
-                                         f"{done.geometry.after.mean[0] * 1e3:.4f} mm mean on the same poses" if kept
-                                         else "nothing that pays on held-out poses"))
-        flattered = done.scattered.after
-        placed = flattered.mean[0] == flattered.mean[0]
-        mean, rms, unit = (flattered.mean[0], flattered.position[0], "mm") if placed else (flattered.mean[1], flattered.rotation[0], "mrad")
-        print(f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, {rms * 1e3:.4f} RMS")
+    say_joints(done, calibration.physics)
     print("\n".join(done.found.rank.report()))
     _print_poses(sampled, done)
     return calibration

@@ -81,7 +81,7 @@ def run(arguments: Namespace) -> None:
     if done.covariance is not None and (calibration.physics is not None or wanted.t is not None):
         expected = arguments.outputs.beside(out, ".poses.csv")
         if expected is not None:
-            writing.write_poses(expected, recordings.Poses(wanted.poses.frame[keep], wanted.poses.T_base_platform[keep], done.covariance))
+            writing.write_poses(expected, recordings.Poses(wanted.poses.frame[keep], done.T_base_platform, done.covariance))
         if not (arguments.uncorrected or arguments.single_step):
             _say(calibration, done, done.covariance)
     correction = calibration.correction
@@ -177,20 +177,21 @@ def _say_rest(arguments: Namespace, calibration: Calibration, out: Path, asked: 
     from calib.arms.correction import ArmCorrection
     from rig import recording as recordings
     from rig import writing
+    from rig.pose import difference
 
     correction, (wanted, keep) = calibration.correction, asked
     if not isinstance(correction, ArmCorrection) or not correction.deficient:
         return
-    frames, T = wanted.poses.frame[keep], wanted.poses.T_base_platform[keep]
-    rest = correction.rest(T, done.values)
+    frames, rest = wanted.poses.frame[keep], difference(done.T_base_platform, wanted.poses.T_base_platform[keep])
     place, turn = (np.linalg.norm(rest[:, part], axis=1) * 1e3 for part in (slice(0, 3), slice(3, 6)))
     print(f"an arm of {len(correction.nominal.joints)} joints cannot make up for every error: what it leaves to the wanted poses is "
           f"{np.sqrt(np.mean(place**2)):.4f} mm RMS, {place.max():.4f} at the most, and {np.sqrt(np.mean(turn**2)):.4f} mrad RMS, "
           f"{turn.max():.4f} at the most (frame {frames[int(turn.argmax())]})")
     beside = arguments.outputs.beside(out, ".poses.csv")
     if beside is not None:
-        covariance = certify.model_covariance(calibration, done.values)
-        writing.write_poses(beside, recordings.Poses(frames, correction.predict(done.values), covariance))
+        if done.covariance is None:
+            covariance = certify.model_covariance(calibration, done.values)
+            writing.write_poses(beside, recordings.Poses(frames, done.T_base_platform, covariance))
         print(f"the poses that it takes instead, with their uncertainty, are in {beside.name}")
 
 

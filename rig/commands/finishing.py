@@ -31,15 +31,14 @@ def finish(arguments: Namespace, rig: Rig, looks: Sequence[Look]) -> tuple[str, 
     recordings = [str(recording_of(out, look.number)) for look in looks]
     calibration, number = out / "calibration.json", len(looks)
     poses, commands, plan, again = (out / f"verify{number}{suffix}" for suffix in ("-poses.csv", "-commands.csv", ".csv", ""))
-    done, arm = plan.exists(), rig.design.mechanism.kind == "arm"
+    done = plan.exists()
     try:
         if not done:
-            rig.call("calibrate", *recordings, *([] if arm else ["--diagnosis", str(diagnosis_of(out, number))]), "--out", str(calibration))
+            rig.call("calibrate", *recordings, "--diagnosis", str(diagnosis_of(out, number)), "--out", str(calibration))
     except RigError as error:
         return (f"not calibrated: {error}",)
     found = ", ".join(looks[-1].findings) or "no physics"
-    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, " + (
-        f"without {found}: an arm's joints are corrected over its configuration space" if arm and looks[-1].findings else f"with {found}"))
+    said.append(f"{calibration.name}: of {len(recordings)} recording{'s' * (len(recordings) > 1)}, with {found}")
     try:
         if not done:
             _wanted(poses, rig, arguments, calibration)

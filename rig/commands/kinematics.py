@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import ArgumentParser, Namespace
 from math import degrees
 from pathlib import Path
@@ -61,7 +62,11 @@ def _arm(text: str) -> tuple[Arm, ArmCorrection | None]:
     from calib import store
     from calib.arms.correction import ArmCorrection
 
-    correction = store.load(text).correction
+    calibration = store.load(text)
+    correction = calibration.correction
+    if calibration.physics is not None and calibration.physics.undone():
+        names = ", ".join(f"{e.label()} at {e.place}" for e in calibration.physics.undone())
+        print(f"{text} undoes {names} besides, by what went before a pose: that is not in what follows; rig correct does it", file=sys.stderr)
     if not isinstance(correction, ArmCorrection):
         raise RigError(f"{text} is the calibration of a {correction.nominal.kind}; this takes an arm's")
     return correction.nominal, correction

@@ -72,7 +72,7 @@ def run(arguments: Namespace) -> None:
     held = compare(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
     progress.close()
     same = store.seen_before(calibration, recording)
-    driven = _driven(calibration, recording, samples, wanted) if wanted is not None else None
+    driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
     if page is not None:
         from calib.pages.verified import Verified, verified_page
 
@@ -100,7 +100,7 @@ def _say(held: HeldOut, same: list[int], driven: Driven | None, claim: Claim | N
     else:
         figures, stated, _ = driven
         turned = ("", "", "")
-        if stated[1]:  # the machine turns at all
+        if 0 < stated[1] < float("inf"):  # the machine turns at all, and that was measured
             turned = (f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max", f" and {stated[1] * 1e3:.4f} mrad",
                       f" and {figures.rotation[0] / stated[1]:.2f}")
         print(f"{figures.n} poses as measured, against the poses wanted: position {figures.position[0] * 1e3:.4f} mm RMS, "
@@ -112,10 +112,9 @@ def _say(held: HeldOut, same: list[int], driven: Driven | None, claim: Claim | N
 
 def _driven(calibration: Calibration, recording: Recording, samples: Samples, wanted: Poses) -> Driven:
     """(Figures of measured against wanted poses, stated standard uncertainty (m, rad) of their difference, the differences (n, 6))."""
-    from calib.certify.held_out import figures
+    from calib.certify.held_out import error_of, figures
     from calib.pose_covariance import pose_covariance
     from calib.samples import uncertainty
-    from rig.pose import difference
 
     frames = recording.exposures.times()[0].tolist()
     if len(frames) != len(wanted.frame):
@@ -125,7 +124,7 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     if wanted.covariance is not None:  # as `rig correct` stated it, of what it knew
         of_model = wanted.covariance[[frames.index(frame) for frame in samples.frame]]
     stated = samples.total_covariance() + of_model
-    errors = difference(T, samples.T_base_platform)
+    errors = error_of(T, samples)
     return figures(errors), uncertainty(stated), errors
 
 

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from calib.arms.certify import Certified
     from calib.certify.claim import Claim
     from calib.correct.physics import Physics
     from calib.store import Calibration
@@ -39,6 +40,21 @@ def _say_workspace(calibration: Calibration) -> None:
 
     if calibration.workspace is not None:
         print(lines(calibration.workspace, mechanisms.unit(calibration.correction.nominal))[0])
+
+
+def say_joints(done: Certified, physics: Physics | None) -> None:
+    """Print what an arm's correction does beyond its geometry, and what that is worth on the held-out poses."""
+    if done.held_out and done.geometry and done.scattered:
+        kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+        beyond = [*(["the physics that was found, refitted without the poses held out"] if physics is not None and physics.effects else []),
+                  *([f"joints {', '.join(map(str, kept))} corrected over the configuration space"] if kept else [])]
+        print("beyond the geometry: " + (f"{' and '.join(beyond)}; the geometry alone leaves {done.geometry.after.mean[0] * 1e3:.4f} mm mean on the "
+                                         "same poses" if beyond else "nothing that pays on held-out poses"))
+        flattered = done.scattered.after
+        placed = flattered.mean[0] == flattered.mean[0]
+        mean, rms, unit = (flattered.mean[0], flattered.position[0], "mm") if placed else (flattered.mean[1], flattered.rotation[0], "mrad")
+        print(f"the same with single rows held out at random, which flatters: {mean * 1e3:.4f} {unit} mean, {rms * 1e3:.4f} RMS")
+    say_physics(physics)
 
 
 def say_physics(physics: Physics | None) -> None:

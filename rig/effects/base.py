@@ -82,6 +82,11 @@ class Effect:
         """Path that the axes (their places) follow when told to follow a path."""
         return path
 
+    @classmethod
+    def retimes(cls) -> bool:
+        """Whether it changes when, or along which path, the axes move."""
+        return cls.times is not Effect.times or cls.follow is not Effect.follow
+
     def forgets(self) -> float:
         """m or rad that an axis must travel one way until it no longer matters how it stood before; 0 for what remembers no way."""
         return 0.0
@@ -260,8 +265,7 @@ class Effect:
     @classmethod
     def unusual(cls, place: str, values: dict[str, Any]) -> str | None:
         """Which of {parameter name: number} at a place is far beyond what rigs show, in a sentence; None where none is."""
-        said = (p.unusual(values.get(p.name)) for p in cls.parameters_at(place))
-        return next((text for text in said if text), None)
+        return next((text for p in cls.parameters_at(place) if (text := p.unusual(values.get(p.name)))), None)
 
     @classmethod
     def action_at(cls, place: str) -> str:

@@ -60,6 +60,15 @@ class Coordinate:
         value, (low, high) = self.read(effect), self.ends
         return min(value + self.step, high), max(value - self.step, low)
 
+    def ends_of(self, effects: tuple[Effect, ...], acting: tuple[Effect, ...]) -> tuple[tuple[tuple[Effect, ...], tuple[Effect, ...]], float]:
+        """((effects above, below), how far apart) between which a difference tells what the axes do with it, without those that only add to it.
+
+        effects : of which it is one of the parameters; acting : those at work, of which clocks and paths matter to the others
+        """
+        own = effects[self.effect]
+        others, (high, low) = tuple(e for e in acting if e is not own and e.retimes()), self.around(own)
+        return ((*others, self.written(own, high)), (*others, self.written(own, low))), high - low
+
     def at_bound(self, effect: Effect) -> float | None:
         """The bound that the parameter of an effect stands at, or None."""
         value = getattr(effect, self.name)

@@ -4,6 +4,7 @@ import sys
 
 from tests.bench import (
     absent,
+    arm_physics,
     arms,
     beside,
     certificate,
@@ -28,8 +29,9 @@ from tests.bench import (
 
 ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "method": method, "formula": formula, "images": images,
-         "beside": beside, "watch": watch, "investigate": investigate, "scale": scale}  # minutes: only where they are named
+NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "arm_physics": arm_physics, "method": method,
+         "formula": formula, "images": images, "beside": beside, "watch": watch, "investigate": investigate,
+         "scale": scale}  # minutes: only where they are named
 
 
 def main() -> None:

@@ -185,7 +185,6 @@ def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:
     commands, frames and sensors."""
     write(folder, report(d))
     found = replace(recording.design, mechanism=d.arm)
-    effects = [one.candidate.effect(one.node, d.fit.theta[d.fit.slices[number]]) for number, one in enumerate(d.fit.terms)]
-    write_text(folder / "machine.json", json.dumps(machine_file.tree(found, effects)) + "\n")
+    write_text(folder / "machine.json", json.dumps(machine_file.tree(found, d.effects)) + "\n")
     copy_recording(folder, recording)
     arm_contributions.write(folder / "contributions.csv", d)

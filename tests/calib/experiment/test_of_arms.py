@@ -107,7 +107,9 @@ def test_play_is_told_from_friction_by_one_experiment(tmp_path, capsys, effect, 
     (finding,) = json.loads((out / "diagnosis2" / "diagnosis.json").read_text())["findings"]
     assert (finding["effect"], finding["place"], finding["cannot_be_told_from"]) == (name, "joint 2", [])
     assert not (out / "rec3").exists() and (out / "certificate" / "certificate.json").exists()
-    assert "an arm's joints are corrected over its configuration space" in notebook
+    assert f"calibration.json: of 2 recordings, with {name} at joint 2" in notebook
+    (undone,) = json.loads((out / "calibration.json").read_text())["physics"]["effects"]
+    assert undone["effect"] == name
 
 
 @pytest.mark.slow

@@ -145,19 +145,14 @@ def _prior(spec: EffectCandidate) -> np.ndarray:
 def _weights(spec: EffectCandidate, node: Node, joint: int | None, arms: Arms) -> np.ndarray:
     """(n, a, q) of a node, see JointCandidate."""
     motion = arms.context.moved()
-    if joint is None and _retimes(spec.kind):
+    if joint is None and spec.kind.retimes():
         return np.einsum("nkj,njq->nkq", arms.joints, _retimed(spec, node, arms))
     if joint is None:
         units = np.eye(len(spec.linear)) * [column.step for column in spec.linear]
         moved = [arms.measured(spec.effect(node, unit).sway(motion)) / column.step for unit, column in zip(units, spec.linear)]
         return np.stack(moved, axis=-1)
-    out = (_retimed(spec, node, arms) if _retimes(spec.kind) else spec.deviation(node, motion))[:, joint].copy()  # kept without the other joints
+    out = (_retimed(spec, node, arms) if spec.kind.retimes() else spec.deviation(node, motion))[:, joint].copy()  # kept without the other joints
     return (out if spec.linear else out / next(iter(node.values())))[:, None, :]
-
-
-def _retimes(kind: type[Effect]) -> bool:
-    """Whether an effect changes when, or along which path, the joints move."""
-    return kind.times is not Effect.times or kind.follow is not Effect.follow
 
 
 def _retimed(spec: EffectCandidate, node: Node, arms: Arms) -> np.ndarray:

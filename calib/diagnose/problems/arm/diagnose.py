@@ -85,6 +85,11 @@ class ArmDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The Effects found, in the order of the fit's terms."""
+        return tuple(one.candidate.effect(one.node, self.fit.theta[self.fit.slices[number]]) for number, one in enumerate(self.fit.terms))
+
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.linalg import block_diag, null_space
+from scipy.linalg import block_diag
 
 from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.linear import Column, joined
@@ -18,6 +18,7 @@ from calib.diagnose.problems.platform.linearised import LinearisedModel, lineari
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, moved
 from calib.diagnose.problems.platform.search import column_of
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
+from calib.identify.bounded import bounded_step
 from calib.identify.geometry import parameters, with_parameters
 from rig.effects.base import Effect
 from rig.effects.check import check
@@ -29,7 +30,6 @@ SMALL = 0.02  # standard deviations; a step below settles a parameter
 HALVINGS = 8
 ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
 SLACK = 0.05  # of the cost, which rounding and clipped corners make uneven
-NULL = 1e-11  # of the greatest eigenvalue; directions below are not stepped along
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,31 +184,7 @@ def _step(model: LinearisedModel, free: _Freedom) -> tuple[np.ndarray, np.ndarra
     """Step (c,) of coordinates, to a bound at the most, and their covariance (c, c), of which bounds know nothing."""
     found = model.linear.project(free.column)
     b, G = found.right - free.loose**2 * free.values, found.gram + np.diag(free.loose**2)
-    step, covariance = _solved(b, G, free.kept)
-    held = np.zeros(len(step), bool)
-    for _ in range(len(step)):
-        over = ~held & ((free.values + step < free.low) | (free.values + step > free.high))
-        if not over.any():
-            break
-        held |= over
-        step[held] = np.clip(free.values + step, free.low, free.high)[held] - free.values[held]
-        step[~held] = _solved(b[~held] - G[np.ix_(~held, held)] @ step[held], G[np.ix_(~held, ~held)], free.kept[:, ~held])[0]
-    return step, covariance
-
-
-def _solved(b: np.ndarray, G: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(G^-1 b, G^-1) in the directions that anything sees and that keep sums (k, c)."""
-    if not len(b):
-        return np.zeros(0), np.zeros((0, 0))
-    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    scaled = G / scale[:, None] / scale
-    kept = kept[kept.any(axis=1)]
-    along = null_space(kept / scale) if len(kept) else None
-    values, vectors = np.linalg.eigh(scaled if along is None else along.T @ scaled @ along)
-    there = values > NULL * max(values[-1], 1e-300)
-    half = vectors[:, there] / np.sqrt(values[there])
-    half = (half if along is None else along @ half) / scale[:, None]
-    return half @ (half.T @ b), half @ half.T
+    return bounded_step(b, G, free.values, np.stack([free.low, free.high], axis=1), free.kept)
 
 
 def _try(model: LinearisedModel, coordinates: list[Coordinate], step: np.ndarray, column: Column | None) -> LinearisedModel | None:

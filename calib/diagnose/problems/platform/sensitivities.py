@@ -27,7 +27,7 @@ class Sensitivities:
         motion : Motion with the admitted effects, so that it need not be made again
         """
         kind = candidate.kind
-        if kind.times is Effect.times and kind.follow is Effect.follow and kind.sway is Effect.sway:
+        if not kind.retimes() and kind.sway is Effect.sway:
             return candidate.spec.deviation(node, motion)
         if not candidate.spec.linear:
             return self._change(candidate.effect(node, np.zeros(0)), motion)[..., None]
@@ -40,7 +40,7 @@ class Sensitivities:
 
     def _change(self, effect: Effect, motion: Motion) -> np.ndarray:
         kind, k = type(effect), self.point
-        if kind.times is Effect.times and kind.follow is Effect.follow:
+        if not kind.retimes():
             out = effect.deviation(motion)
             sway = effect.sway(motion)
             return out + k.swayed(sway) if sway.any() else out
