@@ -58,26 +58,30 @@ def folds(frames: int, sudden: bool, sides: Sequence[np.ndarray] = ()) -> np.nda
     return fold
 
 
-def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray) -> HeldOut:
+def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.ndarray, only: int | None = None) -> HeldOut:
     """HeldOut of residuals (one (m,) for each block, as they are with the nuisances at the model's values): nuisances fitted on other folds.
 
     model : with an explicit basis, else ValueError is raised; what was known beforehand is known in every fold, and is judged by the fit to all
+    only : the one fold to hold out, the others' rows staying as they are; None for each in turn
     """
-    (_, grams), basis = model.by_frames(), model.columns.whole
-    rows = [[slice(a, b) for a, b in zip(block.edges[:-1], block.edges[1:])] for block in model.blocks]
-    right = np.stack([sum(Q[at[f]].T @ y[at[f]] for Q, y, at in zip(basis, residuals, rows)) for f in range(model.frames)])
+    if model.half is not None:
+        raise ValueError("only a model whose nuisances' basis is explicit can hold frames out")
+    if only is not None:
+        fold = fold == only
+    basis, holds = model.columns.whole, np.unique(fold).tolist() if only is None else [True]
     known = [slice(int(block.edges[-1]), None) for block in model.blocks]
-    held = sum(Q[at].T @ Q[at] for Q, at in zip(basis, known))
+    held = sum(Q[at].T @ Q[at] for Q, at in zip(basis, known)) + RIDGE * np.eye(model.columns.count)
     pulled = sum(Q[at].T @ y[at] for Q, y, at in zip(basis, residuals, known))
-    everything = right.sum(axis=0) + pulled
+    rights = {h: model.right(fold == h, residuals) for h in np.unique(fold).tolist()}
+    grams = {h: model.gram(fold == h) for h in rights if only is None or h not in holds}
+    everything = sum(rights.values()) + pulled
     out = [y[block.frames_rows].copy() for block, y in zip(model.blocks, residuals)]
-    for hold in np.unique(fold):
-        train = fold != hold
-        normal = grams[train].sum(axis=0) + held
-        size = np.linalg.solve(normal + RIDGE * np.eye(len(normal)), right[train].sum(axis=0) + pulled)
-        for f in np.flatnonzero(~train):
-            for left, Q, at in zip(out, basis, rows):
-                left[at[f]] -= Q[at[f]] @ size
+    for hold in holds:
+        size = np.linalg.solve(sum(gram for h, gram in grams.items() if h != hold) + held,
+                               sum(right for h, right in rights.items() if h != hold) + pulled)
+        for left, Q, block in zip(out, basis, model.blocks):
+            for rows in block.rows_of(fold == hold):
+                left[rows] -= Q[rows] @ size
     return HeldOut(tuple(out), tuple(y[at] - Q[at] @ everything for Q, y, at in zip(basis, residuals, known)))
 
 

@@ -4,6 +4,7 @@ Every residual r is whitened; P = I - Q Q^T takes out the span of the nuisances,
 a kind of measurement; its rows stand frame by frame, then what was known beforehand.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,6 +28,11 @@ class Block:
     def frames_rows(self) -> slice:
         """The rows that belong to frames."""
         return slice(0, int(self.edges[-1]))
+
+    def rows_of(self, some: np.ndarray) -> list[slice]:
+        """The rows of some frames (F,) bool, those of frames that follow each other in one."""
+        ends = np.flatnonzero(np.diff(np.r_[False, some, False]))
+        return [slice(int(self.edges[a]), int(self.edges[b])) for a, b in ends.reshape(-1, 2)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +114,22 @@ class LinearModel:
                     gram[f] += part[a:b].T @ part[a:b]
             self._by_frames.append((rho, gram))
         return self._by_frames[0]
+
+    def gram(self, some: np.ndarray) -> np.ndarray:
+        """(p, p) of an explicit basis' rows of some frames (F,) bool on themselves."""
+        out = np.zeros((self.columns.count, self.columns.count))
+        for block, part in zip(self.blocks, self.columns.whole):
+            for rows in block.rows_of(some):
+                out += part[rows].T @ part[rows]
+        return out
+
+    def right(self, some: np.ndarray, residuals: Sequence[np.ndarray]) -> np.ndarray:
+        """(p,) products of an explicit basis with residuals (one (m,) for each block) of some frames (F,) bool."""
+        out = np.zeros(self.columns.count)
+        for block, part, y in zip(self.blocks, self.columns.whole, residuals):
+            for rows in block.rows_of(some):
+                out += part[rows].T @ y[rows]
+        return out
 
     def onto(self, products: np.ndarray) -> np.ndarray:
         """Inner products with the columns (.., p) -> with the orthonormal basis (.., r)."""

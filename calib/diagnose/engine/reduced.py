@@ -42,11 +42,10 @@ class Reduced:
     @staticmethod
     def on(model: LinearModel, products: FrameProducts, train: np.ndarray) -> "Reduced":
         """Reduced of the frames of a mask train (F,), the nuisances of a LinearModel with an explicit basis fitted to these alone."""
-        rho, grams = model.by_frames()
         rows, own = np.flatnonzero(train), [slice(int(block.edges[-1]), None) for block in model.blocks]
         basis = list(zip(model.columns.whole, model.blocks, own))
-        information = grams[train].sum(axis=0) + sum(Q[at].T @ Q[at] for Q, _, at in basis)
-        right = rho[train].sum(axis=0) + sum(Q[at].T @ block.residual[at] for Q, block, at in basis)
+        information = model.gram(train) + sum(Q[at].T @ Q[at] for Q, _, at in basis)
+        right = model.right(train, [block.residual for block in model.blocks]) + sum(Q[at].T @ block.residual[at] for Q, block, at in basis)
         confined = FrameProducts(products.beta[rows], products.gamma[rows], products.kappa[rows], products.half)
         return Reduced.of(confined, rows, (information, right))
 

@@ -167,7 +167,7 @@ def _suggested(problem: PlatformProblem, fit: PlatformFit, site: Site, formula: 
     for h, one in zip(np.unique(fold), chosen):
         if one is not None:
             taken = model.marginalise(model.lengthened(site.deviation(one)))
-            predicted = held_out(taken.linear, tuple(block.residual for block in taken.linear.blocks), fold).frames[CLOSURES]
+            predicted = held_out(taken.linear, tuple(block.residual for block in taken.linear.blocks), fold, h).frames[CLOSURES]
             withit[rows == h] = predicted[rows == h]
     squares = [(left.reshape(model.frames, -1) ** 2).sum(axis=1) for left in (without, withit)]
     gain = summed_gain(squares[0] - squares[1])
