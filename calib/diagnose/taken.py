@@ -126,8 +126,9 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         if not isinstance(ends, list) or np.shape(ends)[:1] != (2,):
             value.fail(f"{value.name('ci95')} must hold two ends, not {ends}", "ci95")
         numbers = effects[c.effect].fitted(next(p for p in effects[c.effect].parameters if p.name == c.name))  # which of a vector are listed
-        low, high = np.array(ends, float) if c.index is None else np.array(ends, float)[:, numbers.index(c.index)]
-        out.append(abs(c.measured(high) - c.measured(low)) / (2 * Z95))
+        told = np.array([value.get("value"), *ends], float)
+        middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
+        out.append(max(middle - low, high - middle, low - middle, middle - high) / Z95)  # one end may be cut off at a bound
     return np.array(out)
 
 

@@ -111,6 +111,17 @@ def test_command_line_writes_diagnosis_and_page(tmp_path, capsys):
     assert "scale_error at joint 4" in capsys.readouterr().out
 
 
+def test_a_joint_that_gives_way_to_a_stated_load_is_told_by_its_stiffness(tmp_path):
+    rig, rec, out = (str(tmp_path / name) for name in ("rig.toml", "rec", "out"))
+    assert cli.main(["design", "--mechanism", "arm", "--arm", "ur10", "--out", rig]) == 0
+    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text() + "\n[platform]\nmass = 8.0\ncentre_of_mass = [0.05, 0.0, 0.1]\n")
+    assert cli.main(["simulate", rig, "--plan", "sobol:80", "--effect", "compliance:joint2:stiffness=2e5", "--seed", "3", "--out", rec]) == 0
+    assert cli.main(["diagnose", rec, "--only", "compliance joint 2", "--out", out]) == 0
+    stiffness = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["findings"][0]["parameters"]["stiffness"]
+    low, high = stiffness["ci95"]
+    assert low < 2e5 < high < 1.2 * low and low < stiffness["value"] < high
+
+
 def test_what_was_found_is_drawn_anew_and_found_again(tmp_path, capsys):
     rng = np.random.default_rng(3)
     true = arm_worlds.secret(UR10, rng)

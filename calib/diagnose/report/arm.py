@@ -25,6 +25,7 @@ from calib.diagnose.report.schema import (
     NotAskedEntry,
     Report,
     Value,
+    bounded,
     covariate_entries,
     recording_entries,
     effects_files,
@@ -122,13 +123,14 @@ def parameters(d: ArmDiagnosis, finding: Finding) -> dict[str, Value]:
                name: Value(level.tolist(), units[name].split(", ")[0], [(level - sigma).tolist(), (level + sigma).tolist()])}
         return out | ({SPAN: Value(list(one.node[SPAN]), unit)} if SPAN in one.node else {})
     name = spec.linear[0].name if spec.linear else candidate.sought
-    value = float(theta[0])
-    out = {name: Value(value, units[name], [value - float(sigma[0]), value + float(sigma[0])])}
+    roles = {p.name: p.role for p in effect.parameters}
+    value, low, high = (1 / c if c > 0 else np.inf for c in (theta[0], theta[0] + sigma[0], theta[0] - sigma[0])) if roles[name] == "inverse" else (
+        theta[0], theta[0] - sigma[0], theta[0] + sigma[0])
+    out = {name: bounded(float(value), units[name], (float(low), float(high)), bounds[name])}
     spreads = Z95 * np.sqrt(np.diag(joint.covariance)[len(theta) :] * finding.score.dispersion)
     spread = {n: float(s) for n, s in zip(joint.names, spreads)}
-    roles = {p.name: p.role for p in effect.parameters}
     return out | {key: moment(d.arms.t, v, d.origin, moments(fit, number, finding.score.dispersion)) if roles[key] == "moment"
-                  else Value(v, units[key], [max(v - spread[key], bounds[key][0]), min(v + spread[key], bounds[key][1])] if key in spread else None)
+                  else bounded(v, units[key], (v - spread[key], v + spread[key]), bounds[key]) if key in spread else Value(v, units[key])
                   for key, v in one.node.items() if key in units and key != name}
 
 

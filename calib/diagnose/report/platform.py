@@ -24,6 +24,7 @@ from calib.diagnose.report.schema import (
     Report,
     Unexplained,
     Value,
+    bounded,
     covariate_entries,
     recording_entries,
     effects_files,
@@ -140,8 +141,10 @@ def _finding(d: PlatformDiagnosis, finding: Finding, proof: CrossValidation) -> 
 
 
 def _parameters(refined: Refined, number: int, effect: Effect, origin: Origin) -> dict[str, Value]:
-    units, bounds = {p.name: p.unit for p in effect.parameters_at(effect.place)}, refined.at_bounds(number)
-    out = {name: Value(value, units[name], [low, high], bounds.get(name)) for name, (value, low, high) in refined.intervals(number).items()}
+    known, bound = {p.name: p for p in effect.parameters_at(effect.place)}, refined.at_bounds(number)
+    out = {name: Value(value, known[name].unit, [low, high]) if isinstance(value, list) else
+           bounded(value, known[name].unit, (low, high), known[name].bounds, bound.get(name))
+           for name, (value, low, high) in refined.intervals(number).items()}
     for p in effect.parameters:
         if p.role in ("moment", "choice") and p.size == 1 and np.isfinite(getattr(effect, p.name)):
             value = getattr(effect, p.name)

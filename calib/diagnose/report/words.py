@@ -9,6 +9,7 @@ from rig.rounded import apart, rounded
 
 SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
+NOT_DETERMINED = "not determined"
 LONG = 4  # numbers of a vector that are written out
 CERTAIN = 1e-6  # a chance below which nobody counts
 CONVINCING = 10  # of the information criterion
@@ -28,6 +29,20 @@ def interval(low: float, high: float, unit: str, with_unit: bool = True) -> str:
     return f"{number(low, unit, False, digits)} to {number(high, unit, with_unit, digits)}"
 
 
+def _ends(p: Value, with_unit: bool = True) -> str:
+    """A number's 95 % interval, as far as the data close it."""
+    if p.ci95 is None or p.open == "both":
+        return NOT_DETERMINED
+    low, high = (number(end, p.unit, with_unit) for end in p.ci95)
+    between = interval(p.ci95[0], p.ci95[1], p.unit, with_unit)
+    return f"{low} or more" if p.open == "above" else f"{high} or less" if p.open == "below" else between
+
+
+def _digits(p: Value) -> int:
+    """How many digits a number with a 95 % interval is written to."""
+    return 3 if p.ci95 is None or p.open is not None else apart(*p.ci95)
+
+
 def title(finding: FindingEntry | RemarkEntry) -> str:
     """"backlash at strut 4"."""
     return f"{finding.effect.replace('_', ' ')} at {finding.place}"
@@ -38,8 +53,8 @@ def size(finding: FindingEntry | RemarkEntry) -> str:
     for name, p in finding.parameters.items():
         if isinstance(p.value, (int, float)) and p.ci95 is not None:
             at = "; at the bound of what makes sense" if p.at_bound is not None else ""
-            low, high = p.ci95
-            return f", {name.replace('_', ' ')} {number(p.value, p.unit, digits=apart(low, high))} (95 %: {interval(low, high, p.unit, False)}{at})"
+            sure = NOT_DETERMINED if p.open == "both" else f"95 %: {_ends(p, False)}"
+            return f", {name.replace('_', ' ')} {number(p.value, p.unit, digits=_digits(p))} ({sure}{at})"
         if ", " in p.unit and len(p.value) % 3 == 0 and len(p.value):
             thirds = np.reshape(np.asarray(p.value, float), (-1, 3))
             return ", by " + " and ".join(number(float(np.linalg.norm(v)), u) for v, u in zip(thirds, p.unit.split(", ")))
@@ -147,7 +162,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
     for name, p in finding.parameters.items():
         name = name.replace("_", " ")
         if isinstance(p.value, (int, float)):
-            rows.append((name, number(p.value, p.unit, digits=apart(*p.ci95) if p.ci95 else 3), _interval(p)))
+            rows.append((name, number(p.value, p.unit, digits=_digits(p)), _interval(p)))
             continue
         shown = [i for i, v in enumerate(p.value) if v][: 2 * LONG] if len(p.value) > LONG else range(len(p.value))
         units = p.unit.split(", ") if ", " in p.unit else [p.unit]
@@ -163,7 +178,7 @@ def parameter_rows(finding: FindingEntry) -> list[tuple[str, str, str]]:
 def _interval(p: Value) -> str:
     if p.ci95 is None:
         return ""
-    text = interval(p.ci95[0], p.ci95[1], p.unit)
+    text = _ends(p)
     return f"{text}; stands at its bound" if p.at_bound is not None else text
 
 
@@ -176,7 +191,9 @@ def _printed(name: str, p: Value, few: int) -> str:
     value, unit = p.value, p.unit
     if isinstance(value, (int, float)):
         digits = ".1f" if unit == "s" and abs(value) >= LONG_TIME else ".4g"
-        interval = f" ({p.ci95[0]:{digits}} to {p.ci95[1]:{digits}})" if p.ci95 else ""
+        ends = [f"{end:{digits}}" for end in p.ci95] if p.ci95 else []
+        said = {None: " to ".join(ends), "above": f"{ends[0]} or more", "below": f"{ends[1]} or less", "both": NOT_DETERMINED}[p.open] if ends else ""
+        interval = f" ({said})" if said else ""
         bound = ", at its bound" if p.at_bound is not None else ""
         return f"{name} {value:{digits}} {unit}{interval}{bound}"
     numbers = len(value) and isinstance(value[0], float)

@@ -22,7 +22,8 @@ from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
 from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
-from calib.diagnose.problems.platform.temperatures import widened, with_temperatures
+from calib.diagnose.problems.platform.temperatures import with_temperatures
+from calib.diagnose.problems.platform.widened import widened
 from calib.certify.calibration import Calibration
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.pipeline import Sampled
@@ -118,7 +119,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     selection, left, remarks = set_apart(problem, selection, left)
     selection = with_temperatures(problem, selection)
     suggested = tuple(suggestions(problem, selection.fit, left, progress))
-    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined)))
+    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities)))
     refined = selection.fit.refined
     proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
     blocks = {"corners": CORNERS} if point.seen is not None else {}

@@ -66,14 +66,13 @@ class Refined:
         return float(theta @ precision[np.ix_(size, size)] @ theta), int(size.sum())
 
     def intervals(self, effect: int) -> dict[str, tuple]:
-        """{parameter: (value, low, high)} at 95 % of effect number `effect`; vectors as lists."""
+        """{parameter: (value, low, high)} at 95 % of effect number `effect`, within the parameter's bounds; vectors as lists."""
         out: dict[str, tuple] = {}
         for i, c in enumerate(self.coordinates):
             if c.effect != effect:
                 continue
             half = Z95 * np.sqrt(self.covariance[i, i])
-            ends = [float(c.parameter(self.values[i] + s * half)) if c.role != "inverse" or self.values[i] + s * half > 0 else np.inf
-                    for s in (0, -1, 1)]
+            ends = [float(np.clip(c.parameter(np.clip(self.values[i] + s * half, *c.ends)), *c.bounds)) for s in (0, -1, 1)]
             ends[1:] = sorted(ends[1:])
             if c.index is None:
                 out[c.name] = tuple(ends)

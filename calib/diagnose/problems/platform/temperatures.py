@@ -1,5 +1,5 @@
-"""Effects that follow a temperature: how much less sure a thermometer's noise makes them, and whatever they would explain as well has them for
-alternatives: where none was logged, under a smooth course of it; where one was, under any course that its log's own errors leave open."""
+"""Effects that follow a temperature: whatever they would explain as well has them for alternatives: where none was logged, under a smooth course
+of it; where one was, under any course that its log's own errors leave open."""
 
 import inspect
 from dataclasses import replace
@@ -14,7 +14,6 @@ from calib.diagnose.problems.platform.candidates import PlatformCandidate, Platf
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
-from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.smooth import SLOW
 from rig.effects import ALL
 from rig.effects.base import AXES, REFERENCE_TEMPERATURE, Effect
@@ -77,35 +76,6 @@ def ill_logged(problem: PlatformProblem, selection: PlatformSelection) -> Platfo
             f = replace(f, alternatives=sorted([*f.alternatives, *more], key=lambda a: a.behind))
         findings.append(f)
     return replace(selection, findings=findings)
-
-
-def widened(refined: Refined) -> Refined:
-    """Refined whose covariance holds what the temperatures' own errors add, see `temperature_smoothing.smoothed`."""
-    k, sensors, parts = refined.point, refined.point.sensors, []
-    if sensors is None or refined.column is None:
-        return refined
-    channels = {next(name for name in names if name in sensors.channels)
-                for e in k.effects if type(e) in WARM for names in type(e).follows(e.place, context_of(k))}
-    for channel in sorted(channels & k.log_errors.keys()):
-        for error in k.log_errors[channel].T:
-            course = {**sensors.channels, channel: sensors.channels[channel] + error}
-            off = replace(k, sensors=replace(sensors, channels=course))
-            parts += [_moved(refined.model, off)]
-    if not parts:
-        return refined
-    own = len(refined.coordinates)
-    both = joined([Column(refined.column.parts), *parts])
-    added = refined.covariance @ refined.model.linear.project(both).gram[:own, own:]
-    return replace(refined, covariance=refined.covariance + added @ added.T)
-
-
-def _moved(model: LinearisedModel, off: OperatingPoint) -> Column:
-    """Column (1) of what another OperatingPoint does to corners and closures."""
-    k = model.point
-    out = Column((None, model.nothing(1)))
-    if k.seen is not None:
-        out = out + Column(model.fold((off.pixels() - k.pixels())[..., None]).parts)
-    return out + model.lengthened((off.effective() - k.effective())[..., None]) if k.axes else out
 
 
 def _places(kind: type[Effect], place: str) -> list[str]:

@@ -18,10 +18,13 @@ from rig.effects.base import Linear
 from rig.effects.face_misplacement import FaceMisplacement
 from rig.effects.print_scale import PrintScale
 from rig.tolerances import PLACES, SIDES, STEEL, THERMOMETER, Tolerance
+from vision.bundle.printing import KINDS, NAMES
 
 ALPHA = 1e-3  # chance, over all, that tolerances are taken to be at work where they are not
 STEP = 1e-4  # of a side, a metre or a radian, for derivatives
 ALL_MARKERS = "markers"
+VARIED = [k for k, part in enumerate(KINDS) for _ in NAMES[part]]  # which variance each of NAMES has, of one marker
+TOGETHER, WARMED = len(KINDS), len(KINDS) + 1  # the side of all markers; what a thermometer does
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +42,15 @@ class Site:
 @dataclass(frozen=True, slots=True, eq=False)
 class Tolerated:
     """What tolerances do at a linearisation, q numbers. corners : (2n, q) whitened, frames' own poses still in, of which a number touches few
-    inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers; sites : what they belong to"""
+    inner : (F, L, q) coordinates in these; closures : (m, q); sigma : (q,) standard deviations of the numbers; sites : what they belong to
+    kinds : (q,) those of one kind vary alike: VARIED of a marker, TOGETHER, WARMED"""
 
     corners: csr_array
     inner: np.ndarray
     closures: np.ndarray
     sigma: np.ndarray
     sites: tuple[Site, ...]
+    kinds: np.ndarray
 
     def column(self, model: LinearisedModel) -> Column:
         """Column (q) at the linearisation, written out."""
@@ -82,6 +87,7 @@ def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated
     """Tolerated of a LinearisedModel; None where nothing of the kind could be seen."""
     k, c, n = model.point, model.corners, 2 * len(model.corners.order)
     sites, sigma, table = _markers(model, sensitivities.at(k)) if k.seen is not None else ([], [], csr_array((n, 0)))
+    kinds = [TOGETHER, *VARIED * (len(sigma) // len(VARIED))][: len(sigma)]
     L = c.local.shape[1]
     frame = np.repeat(np.arange(model.frames), 2 * np.diff(c.edges))
     own = csr_array((c.local.ravel(), (L * frame[:, None] + np.arange(L)).ravel(), np.arange(0, n * L + 1, L)), (n, model.frames * L))
@@ -96,7 +102,8 @@ def tolerated(model: LinearisedModel, sensitivities: Sensitivities) -> Tolerated
         inner = np.concatenate([inner, np.zeros((model.frames, L, more))], axis=2)
         table.resize((n, table.shape[1] + more))
         sigma += [size * np.sqrt(2 / SLOW)] * more
-    return Tolerated(table, inner, closures, np.array(sigma), tuple(sites)) if sigma else None
+        kinds += [WARMED] * more
+    return Tolerated(table, inner, closures, np.array(sigma), tuple(sites), np.array(kinds)) if sigma else None
 
 
 def _markers(model: LinearisedModel, kept: Sensitivities) -> tuple[list[Site], list[float], csr_array]:
