@@ -128,7 +128,7 @@ def _sigma(effects: tuple[Effect, ...], entries: list[Entries], tree: Entries) -
         numbers = effects[c.effect].fitted(next(p for p in effects[c.effect].parameters if p.name == c.name))  # which of a vector are listed
         told = np.array([value.get("value"), *ends], float)
         middle, low, high = map(c.measured, told if c.index is None else told[:, numbers.index(c.index)])
-        out.append(max(middle - low, high - middle, low - middle, middle - high) / Z95)  # one end may be cut off at a bound
+        out.append(max(abs(low - middle), abs(high - middle)) / Z95)  # one end may be cut off at a bound
     return np.array(out)
 
 
