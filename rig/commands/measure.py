@@ -39,13 +39,14 @@ def run(arguments: Namespace) -> None:
 
     free, progress = _free(arguments.hold), Progress()
     progress("reading the recording", 0, 1)
+    from_limbs.refuse_check(arguments)
     recording = checking.loaded(arguments)
+    if arguments.limbs is not None:
+        checking.checked(recording, arguments.anyway)
+        _by_limbs(arguments, recording, progress)
+        return
     with provenance.meanwhile(recording) as marks:
         look = checking.checked(recording, arguments.anyway)
-        from_limbs.refuse_check(arguments)
-        if arguments.limbs is not None:
-            _by_limbs(arguments, recording, progress)
-            return
         out = arguments.outputs.folder(arguments.out)
         arguments.outputs.data = provenance.lines(marks())
 
