@@ -8,7 +8,7 @@ PLAIN = 1e6  # from which a power of ten is the shorter
 UNITS = {"m": ((1e6, "µm"), (1e3, "mm"), (1.0, "m")), "rad": ((1e6, "µrad"), (1e3, "mrad"), (1.0, "rad")),
          "m, rad": ((1e6, "µm, µrad"), (1e3, "mm, mrad"), (1.0, "m, rad")), "s": ((1e6, "µs"), (1e3, "ms"), (1.0, "s")),
          "N/m": ((1e-6, "N/µm"),), "N m/rad": ((1.0, "N m/rad"), (1e-3, "kN m/rad"), (1e-6, "MN m/rad")),
-         "1": ((1.0, ""),), "1/K": ((1e6, "10⁻⁶/K"),)}  # as people read them: the first in which a value is below 1000, or the last
+         "1": ((1.0, ""),), "1/K": ((1e6, "ppm/K"),)}  # as people read them: the first in which a value is below 1000, or the last
 
 
 def rounded(value: float, digits: int = 3) -> str:

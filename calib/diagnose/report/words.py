@@ -7,7 +7,7 @@ import numpy as np
 from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, SuggestionEntry, Value
 from rig.rounded import apart, rounded
 
-SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "10⁻⁶/K"), "N/m": (1e-6, "N/µm")}
+SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "ppm/K"), "N/m": (1e-6, "N/µm")}
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
 NOT_DETERMINED = "not determined"
 LONG = 4  # numbers of a vector that are written out
