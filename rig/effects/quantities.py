@@ -9,7 +9,7 @@ from rig.effects.base import AXES, REFERENCE_TEMPERATURE
 from rig.effects.motion import Motion
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
-OWN = ("own travel", "own step", "own direction", "own speed", "own load")
+OWN = ("own travel", "own step", "own direction", "own speed", "own way", "own load")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +64,8 @@ def _own(name: str, unit: str, word: str) -> Quantity:
         return Quantity(name, "direction", "", "motion.path.direction", lambda m: m.path.direction, "come from both sides", 1)
     if name == "own speed":
         return Quantity(name, "speed", f"{unit}/s", "motion.path.speed", lambda m: m.path.speed, "expose on the way at several speeds", 2)
+    if name == "own way":
+        return Quantity(name, "way", unit, "motion.path.way", lambda m: m.path.way, f"move that {word} to and fro between the same poses", 2)
     return Quantity(name, "load", "N m" if unit == "rad" else "N", "motion.loads()", lambda m: m.loads(), "change the payload", 2, posed=True,
                     lacking="motion.no_loads()")
 

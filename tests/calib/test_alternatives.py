@@ -52,6 +52,10 @@ def test_a_grids_parameter_costs_what_the_search_over_it_shows():
     costs = [score("warm_up", "rig", {"time_constant": 900.0}, [2e-5], [("amplitude", None, 1e-6)], 100.0, curve).complexity(5000)
              for curve in (flat, sharp)]
     assert costs[1] - costs[0] == pytest.approx(2 * np.log(16))
+    # one of five other axes is a choice among five, however many frames there are
+    costs = [score("axis_coupling", "strut 1", {"other": 3.0}, [2e-4], [("scale", None, 1e-6)], 100.0, 100.0 * (np.arange(5) < few)).complexity(5000)
+             for few in (5, 1)]
+    assert costs[1] - costs[0] == pytest.approx(2 * np.log(5))
 
 
 def test_a_strong_lag_is_told_from_a_clock_by_fitting_both(tmp_path, design):

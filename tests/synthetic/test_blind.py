@@ -210,6 +210,9 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
         found.append(strengths(recording.load(tmp_path / "rec"), done.world.true, noise, effects, done.sensors))
     assert 8 < found[0][0] < 60 and found[0][1] < 1e-3  # 50 um over 8 um of noise in one strut of 54 frames, part of it swallowed
     assert found[1][0] == pytest.approx(found[0][0] / 2, rel=0.05)
+    window, exchanged = parse("refraction:cam1:thickness=0.01"), parse("marker_swap:8:turn=1")
+    alone, beside = (strengths(recording.load(tmp_path / "rec"), done.world.true, 0.04, (window, *more), done.sensors) for more in ((), (exchanged,)))
+    assert beside[0] == pytest.approx(alone[0]) and beside[1] > 1e3  # corners taken for others are put right first, and make no other effect stronger
 
 
 @pytest.mark.slow

@@ -1,19 +1,22 @@
 """What is left when every candidate has had its say: tests of smooth functions, and of scatter, that nobody named."""
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.diagnose.engine.chance import davies, dispersion
 from calib.diagnose.engine.linear import LinearModel
-from calib.diagnose.engine.products import FrameProducts, framewise, solve, solve_with_prior
+from calib.diagnose.engine.products import SWALLOWED, FrameProducts, Normal, framewise, solve, solve_with_prior
 
 ALPHA = 1e-4  # chance of calling anything unknown where there is nothing, over all tests
+LIKELY = 1e-3  # chance above which no dispersion is asked, since that only makes it likelier
 
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """Of one basis of smooth functions, tested whole, at a place. weights : (F, a, q) of what a frame can be moved in; unit : of the size
+    """Of one basis of smooth functions, the simplest first, tested whole, at a place. weights : (F, a, q) of what a frame can be moved in
+    unit : of the size
     depends_on : names of covariates; information : sum of 1 / unit^2 by which the place is weighed; prior : size of a coefficient, None for any"""
 
     place: str
@@ -27,7 +30,9 @@ class Test:
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
     """Something unknown at a place. magnitude : RMS of what it does, in unit; depends_on : names of covariates, none for scatter
-    p_value; delta_chi2; freedom : parameters fitted; dispersion : that delta_chi2 was divided by, None for what is no function that was fitted"""
+    p_value; delta_chi2; freedom : parameters fitted; dispersion : that delta_chi2 was divided by, None for what is no function that was fitted
+    simpler : ((delta chi-square, not divided, and parameters) of its first function alone, of its first two, ..)
+    among : how many such were asked of its place, of which it is one"""
 
     place: str
     magnitude: float
@@ -37,36 +42,61 @@ class LackOfFit:
     delta_chi2: float
     freedom: int = 1
     dispersion: float | None = None
+    simpler: tuple[tuple[float, int], ...] = ()
+    among: int = 1
 
     def delta_bic(self, size: int) -> float:
         """Bayesian information criterion's verdict: how much better than nothing, for residuals of a size."""
         return self.delta_chi2 - self.freedom * np.log(size)
 
+    def shortest(self, size: int) -> tuple[float, float]:
+        """(delta chi-square with the dispersion not allowed for, what its parameters and its choice among others cost) of as many of the functions,
+        from the first on, as are worth it by Schwarz's criterion: to compare with candidates by (Chen and Chen, Biometrika 95, 2008)."""
+        whole = self.delta_chi2 * (self.dispersion or 1.0), self.freedom
+        delta, freedom = max((whole, *self.simpler), key=lambda one: one[0] - one[1] * np.log(size))
+        return delta, float(freedom * np.log(size) + 2 * np.log(self.among))
+
     def evidence(self, size: int) -> float:
-        """The same with the dispersion not allowed for, to compare with candidates by."""
-        return self.delta_chi2 * (self.dispersion or 1.0) - self.freedom * np.log(size)
+        """Minus twice the logarithm of how much likelier than nothing the shortest is, up to what all share."""
+        delta, cost = self.shortest(size)
+        return delta - cost
 
 
-def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = ALPHA) -> LackOfFit | None:
+def tested(model: LinearModel, products: FrameProducts, test: Test, cluster: int = 1, alpha: float = LIKELY) -> LackOfFit | None:
     """LackOfFit of a Test, None where the nuisances swallow its functions: what the fit explains beyond what noise alone would, nuisances
-    taken out, tells their size. alpha : chance above which no dispersion is asked, since that only makes it likelier"""
+    taken out, tells their size. alpha : chance above which no dispersion is asked"""
     normal = framewise(products, test.weights[None])
     solved = solve(normal) if test.prior is None else solve_with_prior(normal, test.prior)
     delta, rank = solved.delta_chi2, float(solved.rank[0])
     if rank == 0:
         return None
     p, spread = davies(delta, rank, np.inf), 1.0
+    simpler = by_number(normal) if test.prior is None and p <= alpha else ()
     if p <= alpha:
         spread, freedom = dispersion(model, products, test.weights, solved.coefficients[0], cluster)
         p = davies(delta / spread, rank, freedom)
     magnitude = float(np.sqrt(max(delta[0] - rank, 0.0) / test.information))
-    return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread)
+    return LackOfFit(test.place, magnitude, test.unit, test.depends_on, p, float(delta[0] / spread), int(np.ceil(rank)), spread, simpler)
 
 
-def convincing(found: list[LackOfFit | None]) -> list[LackOfFit]:
-    """Those too good for chance over all of them, functions of something before scatter, the most convincing first."""
+def by_number(normal: Normal) -> tuple[tuple[float, int], ...]:
+    """((delta chi-square, rank) of the first column of a candidate alone, of the first two, ..), by elimination."""
+    scale = np.sqrt(np.maximum(normal.raw[0], 1e-300))
+    b, G = normal.b[0] / scale, normal.G[0] / scale[:, None] / scale
+    delta, rank, out = 0.0, 0, []
+    for j in range(len(b)):
+        if G[j, j] > SWALLOWED:
+            delta, rank, share = delta + float(b[j] ** 2 / G[j, j]), rank + 1, G[:, j] / G[j, j]
+            b, G = b - share * b[j], G - np.outer(share, G[j])
+        out.append((delta, rank))
+    return tuple(out)
+
+
+def convincing(found: list[LackOfFit | None], alpha: float = ALPHA) -> list[LackOfFit]:
+    """Those too good for chance over all of them, functions of something before scatter, the most convincing first. alpha : that chance"""
     held = [u for u in found if u is not None]
-    held = [u for u in held if u.p_value * len(held) < ALPHA]
+    functions = Counter(u.place for u in held if u.dispersion is not None)
+    held = [replace(u, among=functions[u.place] if u.dispersion is not None else 1) for u in held if u.p_value * len(held) < alpha]
     return sorted(held, key=lambda u: (not u.depends_on, u.p_value if u.p_value > 0 else -u.delta_chi2))
 
 

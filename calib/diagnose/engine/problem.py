@@ -114,8 +114,8 @@ class Problem(Protocol[Fit, Model, C]):
     def cross_validation(self, fit: Fit, number: int) -> CrossValidation:
         """Of one term."""
 
-    def lack_of_fit(self, model: Model) -> list[LackOfFit]:
-        """What nobody named, the most convincing first."""
+    def lack_of_fit(self, model: Model, place: str | None = None) -> list[LackOfFit]:
+        """What nobody named, the most convincing first; at a place of a name alone, by the chance that names are found by, where one is given."""
 
     def within(self, left: LackOfFit, place: str) -> bool:
         """Whether what is left sits where something at a place does, or at a part of it."""

@@ -226,37 +226,48 @@ def _confirm(problem: Problem[Fit, Model, C], fit: Fit, progress: Progress | Non
 
 def _outdone(problem: Problem[Fit, Model, C], model: Model, fit: Fit, score: Score[C]) -> bool:
     """Whether a smooth function without a name is likelier than a hypothesis that consists of a few numbers: these lie far from what rigs show,
-    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted, as much as any function."""
+    or the place is another. model : without it; fit : with it; a name that leaves nothing there explains, once fitted, as much as the function."""
     if score.candidate.vector:
         return False
-    size, place = problem.linear(model).size, score.candidate.place
+    size, place, alike = problem.linear(model).size, score.candidate.place, problem.policy.alike
 
     def there(at: Model) -> list[LackOfFit]:
         return [u for u in problem.lack_of_fit(at) if u.dispersion and (problem.policy.smooth_anywhere or problem.within(u, place))]
 
-    smooth = there(model)
-    best = max((u.evidence(size) for u in smooth), default=-np.inf)
-    if best <= score.evidence(size) + problem.policy.alike:
+    likelier = [u.shortest(size) for u in there(model) if u.evidence(size) > score.evidence(size) + alike]
+    if not likelier:
         return False
-    explained = max(u.delta_chi2 * (u.dispersion or 1.0) for u in smooth)
-    return bool(there(problem.residual(fit))) or best > explained - score.complexity(size) + problem.policy.alike
+    return any(score.complexity(size) > cost + alike for _, cost in likelier) or bool(there(problem.residual(fit)))
 
 
 def supported(problem: Problem[Fit, Model, C], selection: Selection[Fit, C], left: list[LackOfFit]) -> Selection[Fit, C]:
     """Selection without findings whose name does not stand where something is left unexplained: which smooth functions of the same would explain
-    as well, or which explain less than they leave at their place."""
-    fit, gone = selection.fit, []
+    as well, or which explain less than they leave at their place. Where what is left at a name's own place would make no finding, and is as
+    unlikely by chance as what is named, the same is asked; then the name goes only for what is told in its stead."""
+    fit, gone, after = selection.fit, [], problem.residual(selection.fit)
     for f in selection.findings:
-        model = None if problem.given.holds(f.score.candidate) else problem.covered(fit, f.number, left)
-        if model is None:
+        if problem.given.holds(f.score.candidate):
             continue
-        larger = any(u.delta_chi2 > f.score.delta_chi2 for u in left if u.depends_on and problem.within(u, f.score.candidate.place))
-        if larger or not stands(problem, f, model, fit, selection.asked):
+        place = f.score.candidate.place
+        doubts = [u for u in problem.lack_of_fit(after, place) if not any((u.place, u.depends_on) == (v.place, v.depends_on) for v in left)]
+        if left and not _stays(problem, f, fit, left, selection.asked):
             gone.append(f.number)
+        elif doubts and not _stays(problem, f, fit, left + doubts, selection.asked):
+            gone += [f.number] * any(problem.within(u, place) for u in problem.lack_of_fit(problem.without_term(fit, f.number)))
     for number in sorted(gone, reverse=True):
         fit = problem.remove_term(fit, number)
     kept = [f for f in selection.findings if f.number not in gone]
     return replace(selection, fit=fit, findings=[replace(f, number=f.number - sum(g < f.number for g in gone)) for f in kept])
+
+
+def _stays(problem: Problem[Fit, Model, C], finding: Finding[C], fit: Fit, left: list[LackOfFit], count: int) -> bool:
+    """Whether a Finding of a Fit explains more than what is left at its place, and stands beside smooth functions of what all that is left depends
+    on, of so many candidates asked; where there are none for such a problem it does."""
+    model = problem.covered(fit, finding.number, left)
+    if model is None:
+        return True
+    larger = any(u.delta_chi2 > finding.score.delta_chi2 for u in left if u.depends_on and problem.within(u, finding.score.candidate.place))
+    return not larger and stands(problem, finding, model, fit, count)
 
 
 def stands(problem: Problem[Fit, Model, C], finding: Finding[C], model: Model, fit: Fit, count: int) -> bool:

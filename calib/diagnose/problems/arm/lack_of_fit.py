@@ -14,10 +14,11 @@ PRIOR = 1e-3  # rad; size of a coefficient
 CERTAIN = 30.0  # standard errors, from which a chance is as good as none
 
 
-def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1) -> list[LackOfFit]:
+def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
     """[LackOfFit] that the residuals of a Fit still hold, the largest first; last, scatter beyond the instrument's own that comes again.
 
     again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
+    place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
     arms, found = fit.arms, []
     moved = arms.context.moved()
@@ -27,7 +28,7 @@ def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1) -> lis
         for depends, basis in _bases(arms, j):
             test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
             found.append(tested(fit.linear, products, test, cluster))
-    out = sorted(convincing(found), key=lambda u: -u.delta_chi2)
+    out = sorted(convincing([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
     return [*out, *_scatter(fit, again)]
 
 

@@ -162,8 +162,10 @@ class ArmProblem:
             out.append(CrossValidation(before, after, floor, "m", signed_rank_gain((lacking - squares)[order])))
         return out
 
-    def lack_of_fit(self, model: Fit) -> list[LackOfFit]:
-        return remainder.lack_of_fit(model, cluster=self.policy.cluster)
+    def lack_of_fit(self, model: Fit, place: str | None = None) -> list[LackOfFit]:
+        if place is None:
+            return remainder.lack_of_fit(model, cluster=self.policy.cluster)
+        return remainder.lack_of_fit(model, cluster=self.policy.cluster, place=place, alpha=self.policy.alpha)
 
     def within(self, left: LackOfFit, place: str) -> bool:
         return left.place == place

@@ -15,7 +15,7 @@ from rig.effects.candidate import Candidate as EffectCandidate
 from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
-SEARCHED = ("log", "even", "moment")  # roles of parameters that mean nothing without the effect
+SEARCHED = ("log", "even", "moment", "choice")  # roles of parameters that mean nothing without the effect
 
 
 class Reach(Enum):
@@ -116,6 +116,12 @@ def context_of(point: OperatingPoint) -> Context:
                 "markers": tuple(dict.fromkeys(markers.id[rows].tolist())),
                 "targets": tuple(t.name for t in k.stated.targets if t.name in targets and t.turned is None)}
     return Context(k.stated, k.t, k.sensors, k.motion(()) if k.axes else None, moving=tuple(k.design.cameras[i].name for i in k.moving), **seen)
+
+
+def lacking(point: OperatingPoint, followed: tuple[tuple[str, ...], ...]) -> bool:
+    """Whether a temperature was not logged of those that an effect follows, each told by any of several channels."""
+    logged = set(point.sensors.channels) if point.sensors is not None else set()
+    return not all(logged & set(channels) for channels in followed)
 
 
 def candidate_of(spec: EffectCandidate) -> PlatformCandidate:

@@ -113,8 +113,9 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     problem = PlatformProblem(point, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
     left = problem.lack_of_fit(problem.residual(selection.fit))
-    if left:
-        selection = supported(problem, selection, left)
+    stood = len(selection.findings)
+    selection = supported(problem, selection, left)
+    if len(selection.findings) < stood:
         left = problem.lack_of_fit(problem.residual(selection.fit))
     selection, left, remarks = set_apart(problem, selection, left)
     selection = with_temperatures(problem, selection)

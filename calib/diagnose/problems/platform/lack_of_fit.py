@@ -7,12 +7,16 @@ import numpy as np
 import scipy
 
 from calib.diagnose.engine.chance import davies
-from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
+from calib.diagnose.engine.lack_of_fit import ALPHA, LIKELY, LackOfFit, Test, convincing, tested
 from calib.diagnose.engine.products import FrameProducts, solve
+from calib.diagnose.problems.platform.candidates import context_of, lacking
 from calib.diagnose.problems.platform.corners import MEDIAN
 from calib.diagnose.problems.platform.linearised import LinearisedModel
+from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.search import axis_products, corner_products, lasting
 from calib.diagnose.problems.platform.smooth import FAST, SLOW, edge_pixels, in_time, one_marker, strut_weights, view_pixels, warp_pixels
+from rig.effects import ALL
+from rig.effects.base import Effect
 from rig.effects.lens_distortion import LensDistortion
 from rig.parallel import parallel_map
 
@@ -26,8 +30,11 @@ def within(left: LackOfFit, place: str) -> bool:
     return left.place == place or left.place.startswith(PARTS.get(place, ()))
 
 
-def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
-    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the nuisances."""
+def lack_of_fit(model: LinearisedModel, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
+    """[LackOfFit] that the residuals still hold, the most convincing first; admitted effects belong among the nuisances.
+
+    place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
+    """
     k = model.point
     asked: list[Callable[[], list[LackOfFit | None]]] = [partial(_struts, model)] if k.axes else []
     if k.seen is not None:
@@ -35,7 +42,8 @@ def lack_of_fit(model: LinearisedModel) -> list[LackOfFit]:
         ids, counts = np.unique(k.observed.markers.id[k.observed.sightings.marker], return_counts=True)
         edges = edge_pixels(k)
         asked += [partial(_marker, model, edges, number, count) for number, count in zip(ids.tolist(), counts.tolist())]
-    return convincing([u for found in parallel_map(lambda question: question(), asked) for u in found])
+    found = [u for several in parallel_map(lambda question: question(), asked) for u in several]
+    return convincing([u for u in found if u is not None and (place is None or within(u, place))], alpha)
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
@@ -71,12 +79,23 @@ def _camera(model: LinearisedModel, i: int) -> list[LackOfFit | None]:
     place, information = f"camera {camera.name}", count / model.corner_noise() ** 2
     if i not in k.moving:
         products = corner_products(model, view_pixels(model, place))
-        out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, cosines), information)) for cosines in (SLOW, FAST)]
+        out += [tested(model.linear, products, Test(place, "px", ("time",), in_time(k, count)[:, :, part], information)) for count in (SLOW, FAST)
+                for part in _apart(k, place, count)]
         out.append(_following(products, np.argsort(k.t), place, information))
     if not any(type(e) is LensDistortion and e.place == place for e in k.effects):  # else what its image still bends by belongs to that lens
         seen = np.flatnonzero(k.observed.observations.camera == i)
         out.append(_still(model, seen, warp_pixels(k, i)[seen], place, "image position", information))
     return out
+
+
+def _apart(k: OperatingPoint, place: str, count: int) -> list[slice]:
+    """Which of the functions of `in_time` at a camera are tested together: a mount's motion and the focal length each for itself, but all together
+    where an admitted effect moves the focal length, or one would by a temperature that was not logged: by what a log does not tell it comes and goes
+    in time."""
+    known = any(type(e).focal is not Effect.focal and e.at(place) for e in k.effects)
+    if known or any(kind.focal is not Effect.focal and lacking(k, kind.follows(place, context_of(k))) for kind in ALL):
+        return [slice(None)]
+    return [slice(6 * count), slice(6 * count, None)]
 
 
 def _marker(model: LinearisedModel, edges: np.ndarray, number: int, count: int) -> list[LackOfFit | None]:
@@ -91,7 +110,7 @@ def _still(model: LinearisedModel, hit: np.ndarray, moved: np.ndarray, place: st
     solved = solve(lasting(model, hit, moved))
     delta, rank = float(solved.delta_chi2[0]), int(solved.rank[0])
     chance = davies(solved.delta_chi2, rank, np.inf)
-    if rank and chance > ALPHA:
+    if rank and chance > LIKELY:
         return LackOfFit(place, float(np.sqrt(max(delta - rank, 0.0) / information)), "px", (depends,), chance, delta, rank, 1.0)
     pixels = np.zeros((len(model.point.observed.row), *moved.shape[1:]))
     pixels[hit] = moved

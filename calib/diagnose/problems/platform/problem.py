@@ -172,8 +172,8 @@ class PlatformProblem:
         """Where a candidate shows: CORNERS where it changes only what is seen or nothing was commanded, else CLOSURES."""
         return CORNERS if candidate.seen_alone or not self.point.axes else CLOSURES
 
-    def lack_of_fit(self, model: LinearisedModel) -> list[LackOfFit]:
-        return remainder.lack_of_fit(model)
+    def lack_of_fit(self, model: LinearisedModel, place: str | None = None) -> list[LackOfFit]:
+        return remainder.lack_of_fit(model) if place is None else remainder.lack_of_fit(model, place, self.policy.alpha)
 
     def within(self, left: LackOfFit, place: str) -> bool:
         return remainder.within(left, place)

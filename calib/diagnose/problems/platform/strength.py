@@ -33,13 +33,14 @@ def strengths(recording: Recording, true: Design, noise: float, effects: tuple[E
 
     def world(acting: Iterable[Effect]) -> OperatingPoint:
         T = machine.run(true, commands, t, [e for e in acting if e.stage != "view"], sensors).T_base_platform
-        return OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
+        point = OperatingPoint(true, stated, frames, t, T, {}, None, commands, sensors, None, tuple(acting))
+        return replace(point, seen=seen_of(observations, marker_map(stated)))
 
-    whole = world(effects)
-    whole = replace(whole, seen=seen_of(observations, marker_map(stated)))
-    model, pixels, out = linearise(whole), whole.pixels(), []
-    for i in range(len(effects)):
-        bare = replace(world([e for k, e in enumerate(effects) if k != i]), seen=whole.seen)
-        square = model.linear.project(model.fold((pixels - bare.pixels())[..., None])).gram
+    out = []
+    for effect in effects:
+        acting = [e for e in effects if e is effect or not e.discrete]  # faces exchanged are put right before anything else is looked at
+        whole, bare = world(acting), world([e for e in acting if e is not effect])
+        model = linearise(whole)
+        square = model.linear.project(model.fold((whole.pixels() - bare.pixels())[..., None])).gram
         out.append(float(np.sqrt(max(square[0, 0], 0.0))))
     return np.array(out)

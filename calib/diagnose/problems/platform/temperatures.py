@@ -10,7 +10,7 @@ from calib.diagnose.engine.linear import Column, Projection, cosine, joined
 from calib.diagnose.engine.score import Alternative, Score
 from calib.diagnose.engine.select import Finding, stands
 from calib.diagnose.problems.histories import cosines
-from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore, candidate_of, context_of
+from calib.diagnose.problems.platform.candidates import PlatformCandidate, PlatformScore, candidate_of, context_of, lacking
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
@@ -40,7 +40,7 @@ def unlogged(problem: PlatformProblem, selection: PlatformSelection) -> Platform
     findings = []
     for f in selection.findings:
         asked = [(kind, place) for kind in kinds for place in _places(kind, f.score.candidate.place)
-                 if _lacking(k, kind.follows(place, context_of(k)))]
+                 if lacking(k, kind.follows(place, context_of(k)))]
         findings.append(_beside_temperatures(problem, selection, f, asked) if asked else f)
     return replace(selection, findings=findings)
 
@@ -83,11 +83,6 @@ def _places(kind: type[Effect], place: str) -> list[str]:
     at = place.split(" ")[0]
     own = at in kind.places or (at in AXES and "axis" in kind.places)
     return [whole for whole in kind.places if whole not in ("axis", "camera")] + [place] * (own and " " in place)
-
-
-def _lacking(k: OperatingPoint, followed: tuple[tuple[str, ...], ...]) -> bool:
-    logged = set(k.sensors.channels) if k.sensors is not None else set()
-    return not all(logged & set(channels) for channels in followed)
 
 
 def _courses(model: LinearisedModel, kind: type[Effect], place: str) -> Column:

@@ -1,0 +1,69 @@
+"""A name whose law is not the law: a free curve of its own covariate says so, and then it is told without a name."""
+
+import numpy as np
+import pytest
+
+from calib.diagnose.engine.lack_of_fit import LackOfFit, by_number
+from calib.diagnose.engine.products import Normal, solve
+from calib.diagnose.problems.platform.diagnose import diagnose
+from rig import design_file, plan, recording
+from rig.effects.parse import parse
+from synthetic import out_of_catalogue, simulation, world
+from tests.calib.physical import measured_by
+from tests.calib.recorded import recorded
+
+PLAN = "sobol:30,moving:15,ladder:3,sobol:30,moving:15"
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory, rig_text):
+    """A function: an effect -> PlatformDiagnosis of a rig that hides it, whose poses an instrument measures, which is quick."""
+    text, folder = measured_by(rig_text), tmp_path_factory.mktemp("refuted")
+    (folder / "rig.toml").write_text(text)
+    design = design_file.load(folder / "rig.toml")
+
+    def diagnosed(effect):
+        rng, to = np.random.default_rng(5), folder / f"{effect.name}"
+        simulation.write(simulation.simulate(world.draw(design, rng, 1.0, (effect,)), plan.build(design, PLAN, 5), rng), to, text, rng, 0.04)
+        return diagnose(recording.load(to))
+
+    return diagnosed
+
+
+@pytest.mark.parametrize("effect, depends, looked_at", [
+    (out_of_catalogue.SlippingClutch("strut 2", 6e-6), "way travelled", "own way"),  # nearly a warm-up, by which struts would become shorter
+    (out_of_catalogue.Crosstalk("strut 6", 3, -6e-4, 0.05), "strut 3's position", "travel of strut 3"),  # nearly a straight line
+])
+def test_a_curve_that_outdoes_a_law_leaves_no_name(seen, effect, depends, looked_at):
+    found = seen(effect)
+    assert found.effects == [] and (found.left[0].place, found.left[0].depends_on) == (effect.place, (depends,))
+    (suggested,) = found.suggestions
+    assert suggested.place == effect.place and [q.name for q in suggested.written.quantities] == [looked_at]
+
+
+def test_a_law_that_holds_keeps_its_name(seen):
+    (finding,) = seen(parse("axis_coupling:strut 6:scale=-9e-4,other=3")).selection.findings
+    assert (finding.score.candidate.name, finding.score.candidate.place) == ("axis_coupling", "strut 6")
+
+
+@pytest.mark.slow
+def test_a_focal_length_that_comes_and_goes_is_seen_beside_a_mount_that_stands(tmp_path, design):
+    """A mount's six motions and a focal length are asked apart: seven times as many numbers hid what one of them does."""
+    course = tuple(value for k in range(4) for value in (1.2e-5, (3 + k) / 700, 1.0 + k))
+    found = diagnose(recorded(tmp_path, design, [out_of_catalogue.BreathingLens("camera cam1", course)]), only=["focal_drift", "camera_drift"])
+    assert not found.effects and (found.left[0].place, found.left[0].depends_on) == ("camera cam1", ("time",))
+
+
+def test_first_functions_count_by_themselves():
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(200, 4)) * [1, 1e3, 1e-3, 1]
+    columns[:, 3] = columns[:, 0] - 2 * columns[:, 2]  # which says nothing anew
+    y = 3 * columns[:, 0] + rng.normal(size=200)
+    G = columns.T @ columns
+    found = by_number(Normal((columns.T @ y)[None], G[None], np.diag(G)[None]))
+    for q, (delta, rank) in enumerate(found, 1):
+        alone = solve(Normal((columns.T @ y)[None, :q], G[None, :q, :q], np.diag(G)[None, :q]))
+        assert delta == pytest.approx(float(alone.delta_chi2[0])) and rank == alone.rank[0] == min(q, 3)
+    whole = LackOfFit("strut 1", 1e-6, "m", ("time",), 0.0, found[-1][0] / 2, 3, 2.0, found)
+    assert whole.shortest(200) == (found[0][0], pytest.approx(np.log(200))) and whole.evidence(200) == pytest.approx(found[0][0] - np.log(200))
+    assert whole.delta_bic(200) == pytest.approx(found[-1][0] / 2 - 3 * np.log(200))
