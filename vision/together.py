@@ -17,6 +17,7 @@ from vision.measure import Measurement
 from vision.recorded import measure_recording
 
 ALIKE = 1e-3  # probability, over all cameras together, with which cameras that stand still are taken for moved: which costs little
+HELD = 1e-12  # m, rad; standard deviation of what a datum holds, and rounding lets stray
 Progress = Callable[[str, int, int], None]
 
 
@@ -129,6 +130,11 @@ def _places(measured: Measurement) -> dict[str, tuple]:
 
 
 def _apart(one: tuple, other: tuple) -> tuple[np.ndarray, float]:
-    """((6,) motion from one place to the other, probability of as much by chance)."""
+    """((6,) motion from one place to the other, probability of as much by chance), in the directions that no datum holds: a camera alone in a hand,
+    whose stated place holds the hand's frame, stands where it stood."""
     motion = log(one[0].inv() * other[0])
-    return motion, float(scipy.special.chdtrc(6, motion @ np.linalg.solve(one[1] + other[1], motion)))
+    values, vectors = np.linalg.eigh(one[1] + other[1])
+    free = values > HELD**2
+    if not free.any():
+        return motion, 1.0
+    return motion, float(scipy.special.chdtrc(free.sum(), ((vectors[:, free].T @ motion) ** 2 / values[free]).sum()))

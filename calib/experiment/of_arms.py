@@ -1,4 +1,6 @@
-"""An arm's diagnosis -> questions, and what a plan's recording would say under each name: poses of an instrument, linear about the fitted geometry.
+"""An arm's diagnosis -> questions, and what a plan's recording would say under each name: poses, linear about the fitted geometry.
+
+Poses of an instrument are as sure as its others; of cameras, as their images will tell, with what cameras and lenses add to all alike.
 
 Geometry and the sizes of all that is admitted are as sure as the recordings so far leave them; a lag's or a friction's own shape is taken as found.
 """
@@ -35,7 +37,7 @@ class ArmFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmQuestion(Question[ArmFit]):
-    """Of an arm whose poses an instrument measures."""
+    """Of an arm whose poses an instrument measures, or cameras."""
 
     @property
     def warm(self) -> bool:
@@ -43,7 +45,7 @@ class ArmQuestion(Question[ArmFit]):
 
     def foretold(self, plan: Plan, warmer: float = 0.0) -> Foretold:
         named = self.named
-        tables, shapes = _seen([h.fitted for h in named], [h.number for h in named], plan, warmer)
+        tables, shapes, _ = _seen([h.fitted for h in named], [h.number for h in named], plan, warmer)
         basis, values, _ = np.linalg.svd(np.concatenate([*tables, shapes], axis=1), full_matrices=False)
         basis = basis[:, values > WEAK * values[0]]
         spread = [basis.T @ table for table in tables]
@@ -53,10 +55,11 @@ class ArmQuestion(Question[ArmFit]):
 
     def per_frame(self, plan: Plan) -> PerFrame:
         first, other = self.likeliest
-        (one, two), _ = _seen([first.fitted, other.fitted], [first.number, other.number], plan, 0.0)
-        F = len(plan.t)
-        d = (two @ other.fitted.fit.theta - one @ first.fitted.fit.theta).reshape(F, -1)
-        table = (one @ first.fitted.fit.inverse).reshape(F, d.shape[1], -1)
+        (one, two), _, seen = _seen([first.fitted, other.fitted], [first.number, other.number], plan, 0.0)
+        F, k = len(plan.t), len(one) // len(seen)
+        d, table = np.zeros((F, k)), np.zeros((F, k, one.shape[1]))
+        d[seen] = (two @ other.fitted.fit.theta - one @ first.fitted.fit.theta).reshape(-1, k)
+        table[seen] = (one @ first.fitted.fit.inverse).reshape(len(seen), k, -1)
         return PerFrame((d**2).sum(axis=1), np.einsum("fkp,fk->fp", table, d), np.einsum("fkp,fkq->fpq", table, table), {})
 
 
@@ -68,9 +71,6 @@ def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
         return []
     if not isinstance(d.geometry.mechanism, Arm):
         raise RigError("an experiment is foretold for platforms on struts and for arms; what is alike in a chain is told apart by its stages alone")
-    if d.geometry.basis.shape[1] != d.arms.freedoms.shape[2]:
-        raise RigError("an experiment of an arm is foretold where an instrument measures its poses; what errors cameras' poses would share with "
-                       "those so far is not known")
     problem = ArmProblem(d.arms, [], given=d.given)
     out = []
     for finding in open_ones:
@@ -86,8 +86,11 @@ def arm_questions(d: ArmDiagnosis) -> list[ArmQuestion]:
     return out
 
 
-def _seen(fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float) -> tuple[list[np.ndarray], np.ndarray]:
-    """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's term of a number does)."""
+def _seen(fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: float) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+    """([(n k, p + c) whitened change of a plan's poses with each fit's freedoms and sizes], (n k, h) what each fit's term of a number does,
+    (n,) which of its exposures are measured). Raises RigError as `planned`, and for a cube that is to be turned"""
+    if plan.turned:
+        raise RigError("what a cube that is put back turned would show is foretold for platforms")
     first, geometry = fits[0].fit, fits[0].geometry
     there = planned(first.arms, geometry, plan.commands, plan.t, course(first.arms.context.sensors, plan, warmer))
     W = np.linalg.inv(np.linalg.cholesky(there.own + np.diag(first.scatter**2)))
@@ -97,7 +100,7 @@ def _seen(fits: Sequence[ArmFit], numbers: Sequence[int], plan: Plan, warmer: fl
         X = Columns(there.joints, (Part(None, there.freedoms), *(term.part for term in terms))).whitened(W)
         tables.append(X.at(np.eye(X.count)).reshape(-1, X.count))
         shapes.append(tables[-1][:, one.fit.slices[number]] @ one.fit.theta[one.fit.slices[number]])
-    return tables, np.stack(shapes, axis=1)
+    return tables, np.stack(shapes, axis=1), there.frame
 
 
 def _on(term: Term, arms: Arms) -> Term:

@@ -61,9 +61,8 @@ def run(arguments: Namespace) -> int:
     design = design_file.load(arguments.design)
     if design.mechanism.kind not in ("hexapod", "planar2", "arm"):
         raise RigError(f"an investigation is of a platform on struts or of an arm, not of a mechanism of kind {design.mechanism.kind!r}")
-    if design.mechanism.kind == "arm" and design.instrument is None:
-        raise RigError("an investigation of an arm takes an [instrument] that measures its poses: what errors cameras' poses would share with "
-                       "those so far is not known of a plan")
+    if design.mechanism.kind == "arm" and design.instrument is None and not (design.cameras and design.targets):
+        raise RigError("an investigation of an arm takes an [instrument] that measures its poses, or cameras and targets that show them")
     if not 12 <= arguments.verify <= 400:
         raise RigError(f"--verify takes 12 to 400 poses, not {arguments.verify}")
     rig = Rig(arguments, design)

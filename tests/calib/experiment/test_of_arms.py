@@ -119,3 +119,16 @@ def test_a_quiet_arm_is_left_in_peace(tmp_path, capsys):
     assert main(["simulate", str(rig), "--plan", "sobol:3", "--seed", "8", "--out", str(tmp_path / "f"), "--truth", str(truth)]) == 0
     assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--budget", "1h"]) == 0
     assert "Nothing is left out." in (out / "notebook.md").read_text() and not (out / "rec2").exists()
+
+
+@pytest.mark.slow
+def test_what_a_camera_in_the_hand_leaves_alike_is_told_apart(tmp_path, capsys):
+    """Poses from images: what the experiment would tell is foretold from what the camera would see, and both recordings are measured together."""
+    rig, truth, out = tmp_path / "rig.toml", tmp_path / "truth.json", tmp_path / "out"
+    assert main(["design", "--arm", "ur10", "--seen", "hand", "--cameras", "1", "--out", str(rig)]) == 0
+    assert main(["simulate", str(rig), "--plan", "sobol:3", "--effect", "backlash:joint 2:gap=2e-4", "--seed", "3", "--out", str(tmp_path / "f"),
+                 "--truth", str(truth)]) == 0
+    assert main(["investigate", str(rig), "--machine", str(truth), "--out", str(out), "--plan", "sobol:80", "--budget", "1h"]) == 0
+    notebook = (out / "notebook.md").read_text()
+    assert "alike:" in notebook and "settled: yes" in notebook and "alone: backlash at joint 2" in notebook
+    assert "calibration.json: of 2 recordings, with backlash at joint 2" in notebook and (out / "certificate" / "certificate.json").exists()

@@ -1,6 +1,7 @@
 """A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, what has no name."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -32,6 +33,7 @@ from rig.effects.plugin import Plugin
 from rig.origin import Origin
 from rig.parallel import parallel_map
 from rig.recording import Part, Recording
+from vision.foreseen import foreseen
 
 PARTS = 3
 FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
@@ -102,6 +104,8 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
     arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
+    if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
+        arms = replace(arms, sight=partial(foreseen, sampled.measurement, recording.design))
     done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
     return replace(done, origin=recording.origin, parts=recording.parts)
 

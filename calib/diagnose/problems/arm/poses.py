@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.arms import model
 from calib.arms.certify import calibrate
@@ -21,6 +22,7 @@ from rig.kinds import arm_of, chain_of
 from rig.mechanisms import chain as mechanism
 from rig.pose import difference
 from rig.recording import Commands, Sensors
+from vision.foreseen import Foreseen
 
 FEWEST = 60  # poses
 SEEN = 1e-4  # of the best told combination of a chain's parameters; others no pose tells, and they explain nothing
@@ -30,7 +32,8 @@ SEEN = 1e-4  # of the best told combination of a chain's parameters; others no p
 class Arms:
     """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded; left : (n, k) m and rad, what
     the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints)
-    with the angles; own : (n, k, k) the instrument's covariance; commands : the whole path; context : what effects may look at"""
+    with the angles; own : (n, k, k) the instrument's covariance; commands : the whole path; context : what effects may look at
+    sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of an instrument's"""
 
     frame: np.ndarray
     t: np.ndarray
@@ -41,6 +44,7 @@ class Arms:
     own: np.ndarray
     commands: Commands
     context: Context
+    sight: Callable[[RigidTransform], Foreseen] | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -103,17 +107,27 @@ def arms_of(samples: Samples, design: Design, commands: Commands | None = None, 
 def planned(arms: Arms, geometry: Geometry, commands: Commands, t: np.ndarray, sensors: Sensors | None) -> Arms:
     """Arms of a recording of the same arm that is not there yet, exposed at t (n,) s, of which nothing is left; its instrument sees as before.
 
-    Raises RigError for a chain, or where commands leave the arm's limits
+    frame : of cameras those exposures alone that they will see, numbers among the n
+    Raises RigError for a chain, where commands leave the arm's limits, or where cameras see none of it
     """
     if not isinstance(geometry.mechanism, Arm):
         raise RigError("poses that are not there yet are told of an arm alone")
+    frame, view = np.arange(len(t)), None
+    if arms.sight is not None:
+        view = arms.sight(model.predicted(commands.at(t), geometry.mechanism))
+        frame, t = np.flatnonzero(view.seen), t[view.seen]
+        if not len(t):
+            raise RigError(f"in none of the plan's {len(view.seen)} exposures a camera would see enough of the hand")
     q, k, design = commands.at(t), arms.left.shape[1], replace(arms.context.design, mechanism=geometry.mechanism)
     kind = "pose" if k == 6 else "position"
     freedoms = rows(kind, model.parameter_jacobian(q, geometry.mechanism), q, geometry.mechanism) @ geometry.basis
     joints = rows(kind, model.joint_jacobian(q, geometry.mechanism), q, geometry.mechanism)
     context = replace(arms.context, design=design, t=t, sensors=sensors, motion=machine.motion(design, commands, t, (), sensors))
-    own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
-    return Arms(np.arange(len(t)), t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context)
+    if view is None:
+        own = np.broadcast_to(np.median(arms.own, axis=0), (len(t), k, k))
+    else:
+        own, freedoms = view.covariance, np.concatenate([freedoms, view.common], axis=2)
+    return Arms(frame, t, q, np.zeros((len(t), k)), freedoms, joints, own, commands, context, arms.sight)
 
 
 Linear = tuple[Geometry, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # with what is left, freedoms, joints and own of Arms
