@@ -143,7 +143,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
             arguments.outputs = outputs
-            with _words(arguments), _workers(arguments):
+            with _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
             from rig.page.index import refresh
@@ -170,6 +170,14 @@ def _run(arguments: argparse.Namespace) -> int:
         return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
     except KeyboardInterrupt:
         return _failed(f"{name}: interrupted", 130)
+
+
+def _compiling() -> AbstractContextManager[None]:
+    """Within it is said, once, that something is compiled, for which nothing moves on."""
+    from rig.commands.progress_shown import compiling
+    from rig.kernel import saying
+
+    return saying(compiling)
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:

@@ -1,11 +1,45 @@
 """Kernels that numba compiles when they are first called, so that a command which calls none does not open it."""
 
 import threading
-from collections.abc import Callable
-from functools import cached_property, update_wrapper
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, cached_property, update_wrapper
 from typing import Any, cast
 
 _FOLDERS = threading.RLock()  # held while numba's folder is another: it has one for all threads
+_say: Callable[[], None] | None = None  # to be called when something is compiled
+
+
+@contextmanager
+def saying(say: Callable[[], None]) -> Iterator[None]:
+    """Within it `say` is called before anything is compiled that no earlier run left to be loaded, once in a process."""
+    global _say
+    before, _say = _say, say
+    try:
+        yield
+    finally:
+        _say = before
+
+
+@cache
+def _listen() -> None:
+    """Hear from numba what it compiles: what it loads, which takes no time to speak of, it does not tell of."""
+    from numba.core import event
+
+    class Heard(event.Listener):
+        """said : whether something was compiled already"""
+
+        said = False
+
+        def on_start(self, event: Any) -> None:
+            if _say is not None and not self.said:
+                self.said = True
+                _say()
+
+        def on_end(self, event: Any) -> None:
+            """Nothing is said of an end."""
+
+    event.register("numba:compile", Heard())
 
 
 class Kernel:
@@ -22,6 +56,7 @@ class Kernel:
     def _compiled(self) -> Callable:
         import numba
 
+        _listen()
         settings: Any = numba.config  # its names come and go with the environment
         with _FOLDERS:
             before = settings.CACHE_DIR

@@ -63,6 +63,14 @@ class Progress:
         self.bar, self.label, self.timer = None, None, None
 
 
+def compiling() -> None:
+    """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first time."""
+    if Progress.shown != "none":
+        from tqdm import tqdm
+
+        tqdm.write("compiling for this computer, once: up to a minute", file=sys.stderr)
+
+
 def line(label: str, done: int, of: int, gone: float) -> str:
     """How far a stage has come, as a line. gone : s since it began"""
     share = f"{label}: {done} of {of}, {100 * done // max(of, 1)} %"

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from rig import compiled
+from rig.commands.progress_shown import Progress, compiling
 from tests.conftest import ROOT
 
 
@@ -64,3 +65,18 @@ def test_a_kernel_runs_on_a_read_only_installation_without_a_home(tmp_path):
                           text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path), "HOME": "/nonexistent", "TMPDIR": str(tmp_path / "tmp")})
     assert done.returncode == 0 and str(tmp_path / "rig") in done.stdout and done.stdout.split()[-1] == "3.0", done.stderr
     assert "is kept in" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_loaded(tmp_path):
+    code = ("from rig.kernel import saying; from rig.effects import play; import numpy as np\n"
+            "with saying(lambda: print('compiling')):\n    for values in (np.ones((3, 1)), np.ones((3, 1), np.float32)): play.play(values, 0.5)")
+    told = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True,
+                           env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}).stdout for _ in range(2)]
+    assert told == ["compiling\n", ""]
+
+
+def test_nobody_is_told_who_wants_no_words(monkeypatch, capsys):
+    for shown, words in (("auto", "compiling for this computer, once: up to a minute\n"), ("none", "")):
+        monkeypatch.setattr(Progress, "shown", shown)
+        compiling()
+        assert capsys.readouterr().err == words
