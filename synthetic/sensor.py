@@ -7,6 +7,7 @@ import numpy as np
 
 from rig.design import Sensor
 
+KEPT = 4  # of what the last cameras' optics do; a falloff is as large as a picture
 BLACK = 4.0  # grey level of no light, so that noise is not cut off
 
 
@@ -38,7 +39,7 @@ def expose(radiance: np.ndarray, sensor: Sensor, rng: np.random.Generator, sampl
     return np.clip(np.rint(grey * np.float32(top / 255)), 0, top).astype(np.uint8 if sensor.bits == 8 else np.uint16)
 
 
-@lru_cache
+@lru_cache(KEPT)
 def _disc(radius: float) -> np.ndarray:
     """A uniform disc of a radius (px), each pixel weighted by the part of it that the disc covers: one pixel alone where it is a point."""
     reach, fine = int(np.ceil(radius + 0.5)), 17  # odd, so that the middle is looked at: the smallest disc covers that
@@ -48,7 +49,7 @@ def _disc(radius: float) -> np.ndarray:
     return kernel / kernel.sum()
 
 
-@lru_cache
+@lru_cache(KEPT)
 def _falloff(shape: tuple[int, ...], lost: float) -> np.ndarray:
     """(height, width) share of the light that arrives: 1 in the middle, 1 - lost in the corners, with the square of the radius."""
     v, u = (np.linspace(-1, 1, n, dtype=np.float32) for n in shape)

@@ -1,5 +1,7 @@
 """The sensor: nothing by default, noise of the stated variance, light where it belongs."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -51,3 +53,16 @@ def test_next_to_no_defocus_is_none():
 def test_vignetting_takes_its_share_from_the_corners():
     image = expose(np.ones((401, 401), np.float32), Sensor(vignetting=0.4, bits=12), np.random.default_rng(0)) * (255 / 4095) - BLACK
     assert image[200, 200] == pytest.approx(230, abs=0.1) and image[0, 0] == pytest.approx(230 * 0.6, abs=0.1)
+
+
+def test_of_many_cameras_no_pictures_are_kept():
+    """A campaign has a vignetting of its own for every recording: what is kept of it does not grow with their number."""
+    picture = np.full((400, 500), 0.5, np.float32)
+    tracemalloc.start()
+    try:
+        for lost in np.linspace(0.1, 0.3, 40):
+            expose(picture, Sensor(vignetting=float(lost)), np.random.default_rng(0))
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 8 * picture.nbytes
