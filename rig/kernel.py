@@ -32,6 +32,7 @@ def _listen() -> None:
         said = False
 
         def on_start(self, event: Any) -> None:
+            """Say it, the first time."""
             if _say is not None and not self.said:
                 self.said = True
                 _say()
