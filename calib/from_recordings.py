@@ -86,9 +86,7 @@ def held_out(calibration: Calibration, recordings: Sequence[Recording], progress
             raise RigError(f"{path}: {len(same)} of {frames} frames (the first: {same[0]}) took part in fitting {named}, "
                            "themselves or what was measured from them; a certificate takes poses that did not. Of a recording alone, --mask keeps "
                            "some frames from rig calibrate, and then the others from rig certify")
-        if recording.design.mechanism.kind != calibration.correction.nominal.kind:
-            raise RigError(f"{path} is of a mechanism of kind {recording.design.mechanism.kind!r}, the calibration of one of kind "
-                           f"{calibration.correction.nominal.kind!r}")
+        calibration.refuse_kind(recording.design.mechanism.kind, str(path))
         of = marks(recording)
         twice = shared(of, known)
         if twice:

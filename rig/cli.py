@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, redi
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from rig.commands.usage import Parser, add_common
+from rig.commands.usage import Parser, add_common, with_figures
 from rig.errors import RigError
 from rig.files import STANDARD_OUTPUT, Outputs
 
@@ -68,7 +68,7 @@ def main(argv: list[str] | None = None) -> int:
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    argv = sys.argv[1:] if argv is None else list(argv)
+    argv = with_figures(sys.argv[1:] if argv is None else argv)
     chosen = next((word for word in argv if not word.startswith("-")), None)
     parser = command_line([chosen] if chosen else [], tuple(argv))
     try:

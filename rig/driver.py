@@ -86,7 +86,7 @@ class Driver:
         self.link.connect(0.0)
         if stopping:
             self._told_to_stop(self.link.run(self._protocol.stop(), stoppable=False))
-        self._say(self.link.run(self._protocol.hello()))
+        self._say(self.link.greeting())
         state = self._state()
         self._left, self._homed = self._lengths(state), state.homed
         within = not mechanisms.of(self.mechanism).limits(self._left, self.mechanism).any()

@@ -7,7 +7,7 @@ from typing import Protocol as Interface
 from typing import TextIO, TypeVar
 
 from rig.clock import Clock
-from rig.errors import LinkLost, Stopped
+from rig.errors import LinkLost, NoAnswer, Stopped
 from rig.protocols.base import Dialogue, Exchange, Lines, Protocol
 
 T = TypeVar("T")
@@ -46,6 +46,14 @@ class Link:
         self._rest = b""
         self._lock, self._writing = threading.RLock(), threading.Lock()
         self._stop = threading.Event()
+
+    def greeting(self) -> str:
+        """What a controller says that it is, as nothing was heard from it yet. Raises NoAnswer with what may be stated wrongly."""
+        try:
+            return self.run(self.protocol.hello())
+        except NoAnswer as error:
+            raise NoAnswer(f"{error}: is the controller switched on and at this port, and are protocol and baudrate in [controller] "
+                           "its own?") from None
 
     def connect(self, patience: float) -> None:
         """Open the port, trying again with growing pauses for so long (s). Raises LinkLost with the last reason."""

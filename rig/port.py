@@ -1,6 +1,7 @@
 """A port as pyserial's serial_for_url opens it (device, socket://, rfc2217://, loop://), found again after replugging."""
 
 import io
+import os
 import select
 
 import serial
@@ -14,6 +15,18 @@ MOST = 4096  # bytes of a read
 SLICE = 1e-3  # s between looks at a port that cannot be waited on
 
 
+def _reason(error: Exception) -> str:
+    """Why a port cannot be opened, without pyserial's repetition of its name."""
+    number = getattr(error, "errno", None)
+    return str(error) if number is None else os.strerror(number)
+
+
+def _there(url: str) -> str:
+    """What ports there are, for somebody who named another device."""
+    found = sorted(port.device for port in list_ports.comports())
+    return "" if "://" in url else f"; serial ports here: {', '.join(found) or 'none'} (`rig doctor` lists them)"
+
+
 class SerialPort:
     """See rig.link.Port. url : what serial_for_url takes; baudrate : for devices; clock : tells until when to wait."""
 
@@ -22,7 +35,7 @@ class SerialPort:
         try:
             self._serial = serial.serial_for_url(url, baudrate=baudrate, timeout=0, write_timeout=PATIENCE)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLost(f"cannot open {url}: {error}") from None
+            raise LinkLost(f"cannot open {url}: {_reason(error)}{_there(url)}") from None
         try:
             self._waitable: int | None = self._serial.fileno()
         except (io.UnsupportedOperation, AttributeError):  # rfc2217:// and loop:// have none

@@ -16,6 +16,7 @@ from rig.origin import LATEST, Origin, other_unit
 from rig.outside import read_text, shown
 
 LONGEST_NUMBER = 100  # characters; a float has 17 digits
+FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
 MOST_COLUMNS = 1000
 
 
@@ -136,7 +137,9 @@ def _header(path: Path, cells: Iterable[str], required: tuple[str, ...], optiona
             raise FileError(path, f"column {shown(name)} is given twice", 1, place, name)
     missing = [name for name in required if name not in first]
     if missing:
-        raise FileError(path, f"column {missing[0]!r} is missing; the header is {shown(','.join(header))}", 1)
+        other = next((name for name, sign in FOREIGN.items() if len(header) == 1 and sign in header[0]), None)
+        hint = "" if other is None else f"; it is separated by {other}s, and tables here are by commas with decimal points (docs/tables.md)"
+        raise FileError(path, f"column {missing[0]!r} is missing; the header is {shown(','.join(header))}{hint}", 1)
     absent = [name for name in optional if name not in first and len(name) > 2]
     for place, name in enumerate(header, 1):
         near = difflib.get_close_matches(name[:64], absent, n=1, cutoff=0.8) if name not in (*required, *optional) else ()

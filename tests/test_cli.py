@@ -171,6 +171,11 @@ def test_more_that_goes_wrong(worked, tmp_path):
     assert "is a folder" in run("calibrate", base / "fit", "--out", tmp_path, ok=False).stderr
     (tmp_path / "half.json").write_text((base / "calibration.json").read_text()[:5000])
     assert "cut off" in run("verify", tmp_path / "half.json", base / "check", ok=False).stderr
+    said = run("calibrate", base / "fit", "--out", tmp_path / "c.json", "--diagnosis", base / "check", ok=False).stderr
+    assert "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote" in said
+    (tmp_path / "wanted.csv").write_text("x;y;z;rx;ry;rz\n0;0;0,45;0;0;0\n")
+    said = run("correct", base / "calibration.json", "--poses", tmp_path / "wanted.csv", "--out", tmp_path / "o.csv", ok=False).stderr
+    assert "separated by semicolons, and tables here are by commas" in said
     still = tmp_path / "still"
     shutil.copytree(base / "check", still)
     (still / "commands.csv").unlink()

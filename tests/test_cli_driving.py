@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import re
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,6 +83,8 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
             (("jog", rig, "--to", "1,2"), "6 lengths in mm"), (("jog", rig, "--by", "1", "--speed", "2"), "share above 0"),
             (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.9,0,0,0"), "cannot be reached"),
             (("go", calibration[0], "--rig", rig, "--pose", "0,0,0.45"), "six figures"),
+            (("go", calibration[0], "--rig", rig, "--pose", "-0.5,0,0.45,0,0,0"), "cannot be reached"),
+            (("go", calibration[0], "--rig", rig, "--pose", "10,0,450,0,0,5"), r"450 m is implausible: poses are in metres .*millimetres\?"),
             (("run", rig, "--plan", "moving:5", "--out", str(tmp_path / "r")), "while the struts move"),
             (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--resume"), "no run to resume"),
             (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--stop-on", "rain"), "--stop-on takes jump"),
@@ -90,6 +93,15 @@ def test_what_may_not_be_done_is_refused_before_anything_moves(emulated, rig, ca
             (("run", rig, "--plan", "sobol:2", "--out", str(tmp_path / "r"), "--settle", "limbs:1e-6", "--exposure", "keep"), r"\[sensors\] table")):
         assert re.search(why, said(capsys, *words, ok=False)), words
     assert len(emulated.told()) == before
+
+
+def test_a_controller_that_was_stated_wrongly_says_what_to_look_at(emulated, rig, capsys, tmp_path):
+    text = Path(rig).read_text()
+    assert 'protocol = "grblhal"' in text
+    (tmp_path / "rig.toml").write_text(text.replace('protocol = "grblhal"', 'protocol = "gcs"\ntimeout = 0.05'))
+    assert "protocol and baudrate in [controller] its own" in said(capsys, "status", str(tmp_path / "rig.toml"), ok=False)
+    told = said(capsys, "status", rig, "--port", "/dev/nowhere", ok=False)
+    assert re.fullmatch(r"rig status: cannot open /dev/nowhere: No such file or directory; serial ports here: .* \(`rig doctor` lists them\)\n", told)
 
 
 def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, capsys, tmp_path):

@@ -16,7 +16,7 @@ from rig import cli
 from rig.cli import COMMANDS, command_line, main
 from rig.commands import found
 from rig.commands.progress_shown import Progress, line
-from rig.commands.usage import nearest
+from rig.commands.usage import nearest, with_figures
 from rig.effects import ALL
 from tests.cli import RIG
 from tests.conftest import BENCH
@@ -31,6 +31,14 @@ def test_a_mistyped_word_is_told_from_what_was_meant(words, says, capsys):
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2 and says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words, joined", [
+    (["go", "c.json", "--pose", "-0.1,0,0.4,0,0,0"], ["go", "c.json", "--pose=-0.1,0,0.4,0,0,0"]),
+    (["jog", "r", "--to", "-.5,2"], ["jog", "r", "--to=-.5,2"]),
+    (["jog", "r", "--by", "-0.5"], ["jog", "r", "--by", "-0.5"]), (["x", "-1,2"], ["x", "-1,2"]), (["x", "--a=1", "-1,2"], ["x", "--a=1", "-1,2"])])
+def test_figures_that_begin_with_a_minus_are_no_option(words, joined):
+    assert with_figures(words) == joined
 
 
 def test_a_word_that_is_right_or_like_nothing_has_no_other_meant():

@@ -53,6 +53,11 @@ class Calibration:
             return samples
         return self.physics.told(self.correction.fitted, samples, recording.commands, recording.sensors)
 
+    def refuse_kind(self, kind: str, named: str) -> None:
+        """Raise RigError for what is of another kind of mechanism. named : it, in words"""
+        if kind != self.correction.nominal.kind:
+            raise RigError(f"{named} is of a mechanism of kind {kind!r}, the calibration of one of kind {self.correction.nominal.kind!r}")
+
     def refuse_physics(self, what: str) -> None:
         """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)
         does not follow."""

@@ -93,6 +93,8 @@ def of_folder(folder: Path, recording: Recording, kinds: Kinds = BY_NAME) -> Fin
 
     Raises FileError for a folder that holds none, or of another rig
     """
+    if folder.is_dir() and not (folder / "diagnosis.json").exists():
+        raise FileError(folder, "holds no diagnosis.json; --diagnosis takes a folder that `rig diagnose` wrote")
     tree = json_file.load(folder / "diagnosis.json", "diagnosis", SCHEMA)
     if not (folder / "machine.json").exists():
         raise FileError(folder / "machine.json", "no such file; --diagnosis takes a folder that `rig diagnose` wrote from a commanded recording")

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     Places = tuple[Any, Path | None, list[Link]]  # of the file, of its page, and the page's links
 
 
+MOST_NAMED = 10  # frames
+
+
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recordings(parser)
@@ -267,8 +270,10 @@ def _shown(page: Path | None, draw: Callable[[Path], None], claim: Claim, progre
 
 
 def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:
+    odd = [str(frame) for frame in sampled.samples.frame[~done.found.inliers]]
+    named = f"; not frame {', '.join(odd[:MOST_NAMED])}" + (f" and {len(odd) - MOST_NAMED} more" if len(odd) > MOST_NAMED else "") if odd else ""
     print(f"{len(sampled.samples)} poses of {done.label.max() + 1} distinct configurations from {sampled.source}, {done.found.inliers.sum()} of "
-          "them agree with one geometry")
+          f"them agree with one geometry{named}")
 
 
 def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified | ChainCertified, claim: Claim,

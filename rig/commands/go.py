@@ -92,6 +92,7 @@ def pose_of(text: str) -> RigidTransform:
     """RigidTransform of six figures joined by commas, m and rad. Raises RigError for anything else."""
     import numpy as np
 
+    from rig.entries import LARGEST_RIG
     from rig.pose import pose
 
     try:
@@ -100,6 +101,8 @@ def pose_of(text: str) -> RigidTransform:
         values = np.zeros(0)
     if values.shape != (6,) or not np.isfinite(values).all():
         raise RigError(f"--pose takes six figures joined by commas, x,y,z (m) and rx,ry,rz (rad), got {text!r}")
+    if np.abs(values[:3]).max() > LARGEST_RIG:
+        raise RigError(f"--pose {text}: {np.abs(values[:3]).max():g} m is implausible: poses are in metres and radians (millimetres?)")
     return pose(values[:3], values[3:])
 
 

@@ -30,6 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "commands.unit=mm, commands.columns.l1=Leg1, images.tolerance=0.01, poses.rotation=zyx; may be repeated (docs/check.md)")
     parser.add_argument("--recipe", metavar="FILE.toml", type=Path, help="do again what an import wrote beside its result")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; REC.import.toml beside it is the recipe")
+    parser.add_argument("--skip-unreadable", action="store_true", help="leave out, and list, images that cannot be used")
     add_force(parser)
     add_result(parser)
 
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
         return
     out = arguments.outputs.folder(arguments.out)
     with tempfile.TemporaryDirectory(prefix="rig-bag-") as unpacked:
-        imported = importing.assemble(importing.unpacked(recipe, Path(unpacked)))
+        imported = importing.assemble(importing.unpacked(recipe, Path(unpacked)), arguments.skip_unreadable)
         importing.write(imported, out)
     kept = arguments.out.parent / f"{arguments.out.name}.import.toml"
     if arguments.recipe is None:

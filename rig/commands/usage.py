@@ -1,5 +1,6 @@
 """The parser of the command line: help that says when it cannot be printed, and the likeliest word for a mistyped one."""
 
+import re
 from argparse import ArgumentParser
 from collections.abc import Iterable
 from typing import Any, NoReturn
@@ -8,6 +9,20 @@ PROGRESS = ("auto", "lines", "none")
 PRINTED = ("completion", "doctor", "effects", "status")  # what they print is all they are for, so they cannot be quiet
 
 SHARED = ("blind", "calibrate", "certify", "diagnose", "insitu", "investigate", "measure", "online", "simulate", "verify", "watch")  # work for many
+
+
+NEGATIVE = re.compile(r"-\.?\d[^,]*,")  # figures joined by commas, of which the first is negative
+
+
+def with_figures(words: Iterable[str]) -> list[str]:
+    """A command line on which `--pose -0.1,0,0` is `--pose=-0.1,0,0`, as argparse takes what begins with a dash for an option."""
+    joined: list[str] = []
+    for word in words:
+        if NEGATIVE.match(word) and joined and re.fullmatch(r"--[a-z][a-z-]*", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 class Parser(ArgumentParser):

@@ -57,6 +57,7 @@ def run(arguments: Namespace) -> None:
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
     wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
     recording = read_recording(arguments)
+    calibration.refuse_kind(recording.design.mechanism.kind, str(arguments.recording))
     page = place_of_page(arguments)
 
     import numpy as np

@@ -13,7 +13,7 @@ from rig.design import Design
 from rig.errors import RigError
 from rig.files import write_bytes
 from rig.images import check_image
-from rig.importing import columns, frames, times, units
+from rig.importing import clocks, columns, frames, times, units
 from rig.importing.calibrations import onto
 from rig.importing.commands import Commanded, commands
 from rig.importing.dialect import read
@@ -66,8 +66,11 @@ def unpacked(recipe: Recipe, folder: Path) -> Recipe:
     return bag.unpacked(recipe, with_cameras(recipe)[0], folder)
 
 
-def assemble(recipe: Recipe) -> Imported:
-    """Imported of a Recipe. Raises RigError for what cannot be used, for what is missing and for what reads well in two ways."""
+def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
+    """Imported of a Recipe. skip_unreadable : whether images that cannot be used are left out, and said
+
+    Raises RigError for what cannot be used, for what is missing and for what reads well in two ways.
+    """
     design, rig, of_cameras = with_cameras(recipe)
     if recipe.bag is not None:
         of_cameras = (*of_cameras, *recipe.bag.said)
@@ -78,7 +81,7 @@ def assemble(recipe: Recipe) -> Imported:
     exposed = frames.exposed(frames.pictures(recipe.images, design), recipe.images, like) if recipe.images else None
     if exposed is not None:
         exposed, recipe = _timed(exposed, commanded, recipe, like)
-        _images(exposed, design)
+        exposed = _usable(exposed, design, skip_unreadable)
     posed = None
     if recipe.poses is not None:
         posed = poses(recipe.poses, design, partial(_commanded, exposed, commanded), like)
@@ -132,6 +135,8 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
     found = columns.find(cells, "frames", {"t": columns.TIME, "frame": columns.FRAME, "image": columns.IMAGE, "camera": columns.CAMERA}, ("t",))
     if "frame" not in found and "image" not in found:
         raise RigError(f"{cells.path}: no column names the frame or the image; --set 'frames.columns.frame=HEADER' states which")
+    if "image" not in found and any(Path(cell).suffix.lower() in frames.KINDS for cell in cells.column(found["frame"])):
+        found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
     unit = units.split(cells.header[found["t"]])[1]
     t = times.read(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in units.TIMES else None),
                    table.zone, table.shift, like)
@@ -140,24 +145,33 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
         parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
         at = {"/".join(Path(cell).parts[-parts:]): s for cell, s in zip(cells.column(found["image"]), t.seconds)}
         keys = ["/".join(path.parts[-parts:]) for path in exposed.path]
+        gone = [name for name in at if name not in set(keys)]
     else:
         at, keys = dict(zip((f"{n:.0f}" for n in cells.numbers(found["frame"])), t.seconds)), [str(n) for n in exposed.frame]
+        gone = []
     missing = [str(path) for path, key in zip(exposed.path, keys) if key not in at]
     if missing:
         raise RigError(f"{cells.path}: {missing[0]} has no row" + (f", nor have {len(missing) - 1} more" if len(missing) > 1 else ""))
     first: dict[int, Decimal] = {}
     for frame, key in zip(exposed.frame, keys):
         first.setdefault(frame, at[key])
-    said = (*exposed.said, *cells.said, *t.said)
+    absent = (f"{table.file.name} names images that are not there, {len(gone)} of {len(at)}: {', '.join(gone[:LISTED])}",) if gone else ()
+    said = (*exposed.said, *cells.said, *t.said, *absent)
     return replace(exposed, t=[first[frame] for frame in exposed.frame], said=said), replace(recipe, frames=resolved)
 
 
-def _images(exposed: Exposed, design: Design) -> None:
-    """Raise RigError that names all images that cannot be used."""
-    bad = [f"{path}: {problem}" for path, name in zip(exposed.path, exposed.camera) if (problem := check_image(path, design.camera(name)))]
-    if bad:
+def _usable(exposed: Exposed, design: Design, skip: bool) -> Exposed:
+    """The exposures without images that cannot be used. Raises RigError that names all of these where they are not to be skipped, or are all."""
+    problems = [check_image(path, design.camera(name)) for path, name in zip(exposed.path, exposed.camera)]
+    bad = [f"{path}: {problem}" for path, problem in zip(exposed.path, problems) if problem]
+    if bad and (not skip or len(bad) == len(problems)):
         more = f"; {len(bad)} images cannot be used" if len(bad) > 1 else ""
+        more += "" if skip else " (--skip-unreadable leaves out what cannot be used)"
         raise RigError("\n".join([bad[0] + more, *(f"  {line}" for line in bad[1:LISTED])]))
+    keep = [k for k, problem in enumerate(problems) if not problem]
+    t = exposed.times()
+    return replace(exposed, frame=[exposed.frame[k] for k in keep], t=[t[k] for k in keep], camera=[exposed.camera[k] for k in keep],
+                   path=[exposed.path[k] for k in keep], said=(*exposed.said, *(f"left out: {line}" for line in bad)))
 
 
 def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Decimal] | None, frame: np.ndarray | None, n: int) -> np.ndarray | None:
@@ -173,7 +187,7 @@ def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Dec
         return commanded.values if len(commanded.values) == n else None
     if min(t) < commanded.t[0] or max(t) > commanded.t[-1] + (commanded.t[-1] - commanded.t[0]) / 2:
         return None
-    at, rows = (np.array([float(DIGITS.subtract(s, commanded.t[0])) for s in times_of]) for times_of in (t, commanded.t))
+    at, rows = (_seconds(times_of, commanded.t[0]) for times_of in (t, commanded.t))
     return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
 
 
@@ -230,14 +244,24 @@ def _together(exposed: Exposed, commanded: Commanded | None) -> None:
     if commanded is None or commanded.t is None:
         return
     t = sorted(set(exposed.times()))
+    section = "images" if any(exposed.camera) else "poses"
     first, last = commanded.t[0], commanded.t[-1]
     after = sum(s > last for s in t)
     if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
         return
+    clash = f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from {first:f} to {last:f} s"
+    standing = clocks.standing_shift(_seconds(t, first), _seconds(commanded.t, first), commanded.values)
+    if standing is not None:
+        raise RigError(f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} frames where the commands "
+                       f"stand still, the middle of what does, +-{standing.room:.2g} s")
     by = first - t[0]
-    raise RigError(f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from {first:f} to {last:f} s; "
-                   f"state the unit or what is to be added: --set images.shift={by:.6f} brings the first frame to the first command"
+    raise RigError(f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first frame to the first command"
                    "; --set commands.shift=S moves the commands")
+
+
+def _seconds(t: list[Decimal], origin: Decimal) -> np.ndarray:
+    """(n,) s from an origin."""
+    return np.array([float(DIGITS.subtract(one, origin)) for one in t])
 
 
 def write(imported: Imported, out: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rig import mechanisms
 from rig.design import Arm, Design
-from rig.errors import RigError
+from rig.errors import FileError, RigError
 from rig.importing import columns, times, units
 from rig.importing.ambiguous import ambiguous
 from rig.importing.dialect import Cells, read
@@ -43,7 +43,24 @@ def commands(table: ForeignTable, design: Design) -> Commanded:
         read_times = times.read(cells.column(found["t"]), "commands", table.file.name, stated, table.zone, table.shift, _pace(values, design))
         t, said = read_times.seconds, (*said, *read_times.said)
         table = replace(table, time_unit=read_times.unit, zone=read_times.zone)
-    return Commanded(t, values, frame, table, said)
+    return _once(Commanded(t, values, frame, table, said), cells)
+
+
+def _once(commanded: Commanded, cells: Cells) -> Commanded:
+    """The rows without those that a log has twice. Raises FileError, with the line, where rows of one time say different things."""
+    t, values = commanded.t, commanded.values
+    if t is None:
+        return commanded
+    again = [k for k in range(1, len(t)) if t[k] == t[k - 1]]
+    odd = next((k for k in again if not np.array_equal(values[k], values[k - 1])), None)
+    if odd is not None:
+        raise FileError(cells.path, f"two rows are of one time, {t[odd]:f} s, and say different things; take one of them out", cells.lines[odd])
+    if not again:
+        return commanded
+    keep = np.setdiff1d(np.arange(len(t)), again)
+    told = (f"{cells.path.name}: {len(again)} rows are there twice, with their times, and are taken once; the first is line {cells.lines[again[0]]}",)
+    return replace(commanded, t=[t[k] for k in keep], values=values[keep], said=(*commanded.said, *told),
+                   frame=None if commanded.frame is None else commanded.frame[keep])
 
 
 def _time_unit(header: str) -> str | None:

@@ -181,12 +181,12 @@ def _fit(rows: list[list[str]], decimal: str) -> bool:
     header, *body = rows
     if not 2 <= len(header) <= MOST_COLUMNS or len({len(row) for row in rows}) > 1:
         return False
-    if any(len(cell) > LONGEST_CELL for row in rows for cell in row) or NUMBER["point"].fullmatch(header[0]):
+    if any(len(cell) > LONGEST_CELL for row in rows for cell in row) or NUMBER["point"].fullmatch(header[0]) or DATE.fullmatch(header[0]):
         return False
     figures = 0
     for row in body:
         for cell in row:
-            if len(cell) <= LONGEST and NUMBER[decimal].fullmatch(cell):
+            if len(cell) <= LONGEST and (NUMBER[decimal].fullmatch(cell) or DATE.fullmatch(cell)):
                 figures += 1
             elif (cell and TORN.search(cell) and not DATE.match(cell)) or NUMBER["comma" if decimal == "point" else "point"].fullmatch(cell):
                 return False

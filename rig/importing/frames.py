@@ -69,11 +69,27 @@ def pictures(images: Images, design: Design) -> list[Picture]:
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in KINDS and path.is_file())
         if not files:
             raise FileError(folder, f"holds no images ({', '.join(kind[1:] for kind in KINDS)})")
+        _known(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
         found += [_picture(path, folder, cameras, images.names, [c.name for c in design.cameras]) for path in files[:MOST]]
     return found
 
 
-def _picture(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> Picture:
+def _known(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> None:
+    """Raise FileError that names all words of files that stand for no camera of rig.toml, with the settings that would say which."""
+    unknown: dict[str, Path] = {}
+    for path in files:
+        word, rest, _ = _camera(path, folder, cameras, names, ours)
+        if word is None or word.lower() not in cameras:
+            unknown.setdefault(word or (rest.rsplit("/", 1)[0] if "/" in rest else rest), path)
+    if unknown:
+        settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
+                            for k, theirs in enumerate(list(unknown)[:max(len(ours), 1)]))
+        raise FileError(next(iter(unknown.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
+                        "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
+
+
+def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> tuple[str | None, str, dict[str, str]]:
+    """(word that stands for its camera or None, the name with its folder, parts by the stated pattern) of an image's file."""
     name = str(path.relative_to(folder).with_suffix("")).replace("\\", "/")
     parts = _by_pattern(path, name, names) if names else {}
     rest = name if "/" in name else f"{folder.name}/{name}"
@@ -82,11 +98,13 @@ def _picture(path: Path, folder: Path, cameras: dict[str, str], names: str | Non
         word = next((w for w in sorted(cameras, key=len, reverse=True) if re.search(rf"(?<![a-z0-9]){re.escape(w)}(?![a-z0-9])", rest.lower())), None)
     if word is None and len(ours) == 1:
         word = ours[0]
-    if word is None or word.lower() not in cameras:
-        theirs = word or (rest.rsplit("/", 1)[0] if "/" in rest else rest)
-        raise FileError(path, f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; "
-                        f"--set images.cameras.{theirs}={ours[0] if ours else 'cam0'} says what a word stands for, "
-                        "--set 'images.names={camera}_{frame}' how names are built")
+    return word, rest, parts
+
+
+def _picture(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> Picture:
+    """Picture of a file whose camera is known."""
+    found, rest, parts = _camera(path, folder, cameras, names, ours)
+    word = found or ""
     if names:
         return Picture(path, cameras[word.lower()], int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
     stem = rest.rsplit("/", 1)[-1]
