@@ -93,9 +93,6 @@ class Problem(Protocol[Fit, Model, C]):
     def in_place(self, fit: Fit, number: int) -> Fit:
         """The Fit with its last term moved to a number."""
 
-    def finer(self, fit: Fit, trial: Fit, score: Score[C], scores: list[Score[C]]) -> Fit:
-        """`trial`, which is `fit` with a Score's term, or a better variant of that term among scores."""
-
     def refined(self, fit: Fit) -> Fit:
         """The Fit with terms' nonlinear parameters at their best now that others are admitted."""
 

@@ -136,9 +136,25 @@ def _step(problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], 
     for best in promising[: problem.policy.tried]:
         trial = problem.add_term(fit, best)
         if least is None or problem.heldout_gains(trial, [len(problem.terms(fit))])[0] > least:
-            return problem.finer(fit, trial, best, scores), best
+            return _exchanged(problem, fit, trial, best, scores)
         refused.append(best.candidate)
     return None
+
+
+def _exchanged(problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]) -> tuple[Fit, Score[C]]:
+    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that the scan does not tell from its `best`: it tells
+    variants apart by no less than what it missed of the one that was fitted, be it that a large effect is not linear in its numbers, or that
+    what a coarse variant leaves counted as scatter. trial : `fit` with `best`"""
+    size, missed = problem.size(fit), abs(problem.likelihood_ratio(fit, trial) - best.delta_chi2 * best.dispersion)
+    others = [s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)
+              and s.candidate is not best.candidate and best.evidence(size) - s.evidence(size) <= missed]
+    found, chosen, least = trial, best, best.complexity(size)
+    for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
+        new = problem.add_term(fit, s)
+        cost = s.complexity(size) - problem.likelihood_ratio(trial, new)
+        if cost < least:
+            found, chosen, least = new, s, cost
+    return found, chosen
 
 
 def _companions(problem: Problem[Fit, Model, C], fit: Fit, best: Score[C], promising: list[Score[C]], taken: set[tuple], size: int) -> Fit:

@@ -99,9 +99,6 @@ class ArmProblem:
     def _weighed(self, now: Fit, terms: list[Term]) -> Fit:
         return fit(self.arms, terms, self.train, now.weighing, rounds=QUICK)
 
-    def finer(self, fit: Fit, trial: Fit, score: JointScore, scores: list[JointScore]) -> Fit:
-        return trial
-
     def refined(self, fit: Fit) -> Fit:
         return sharpened(fit, self.train, self.policy)
 

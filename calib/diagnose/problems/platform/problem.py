@@ -139,16 +139,6 @@ class PlatformProblem:
         terms = (*fit.terms[:number], fit.terms[-1], *fit.terms[number:-1])
         return PlatformFit(refine(k.with_effects(order), self.sensitivities), terms)
 
-    def finer(self, fit: PlatformFit, trial: PlatformFit, score: PlatformScore, scores: list[PlatformScore]) -> PlatformFit:
-        """The best number of knots of a profile just admitted: before, what a coarse one leaves counted as scatter."""
-        if not score.candidate.profile:
-            return trial
-        others = [s for s in scores if (s.candidate.name, s.candidate.place) == (score.candidate.name, score.candidate.place)
-                  and s.candidate is not score.candidate]
-        trials = [trial, *(self.add_term(fit, s) for s in others)]
-        least = min(t.refined.point.standing for t in trials)
-        return min(trials, key=lambda t: t.refined.likelihood(least) + len(t.refined.coordinates) * np.log(t.refined.model.size))
-
     def refined(self, fit: PlatformFit) -> PlatformFit:
         return fit  # whatever is admitted is refined at once
 
