@@ -1,18 +1,21 @@
 """Between hypotheses: what a parameter costs, what a refit tells that a scan does not, names that give way, temperatures nobody logged."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from calib.diagnose.engine.policy import PLATFORM
 from calib.diagnose.engine.score import Score
+from calib.diagnose.engine.select import _exchanged
 from calib.diagnose.problems.platform.candidates import candidate_of
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.refine import refine
 from calib.diagnose.problems.platform.sensitivities import Sensitivities
 from calib.diagnose.report.platform import report
-from rig import design_file
+from rig import cli, design_file, recording
 from rig.effects import BY_NAME
 from rig.effects.candidate import Candidate, Linear
 from rig.layout import layout
@@ -146,3 +149,31 @@ def test_a_warm_up_of_micrometres_is_never_a_thermal_expansion_beyond_doubt(tmp_
     (finding,) = case.first(SLOWLY)[1].selection.findings
     named = [finding.score.candidate, *(a.score.candidate for a in finding.alternatives)]
     assert ("warm_up", text.split(":")[1]) in [(c.name, c.place) for c in named]
+
+
+@pytest.mark.parametrize("scanned, fitted, tried", [(900.0, 1500.0, False), (400.0, 1500.0, True), (400.0, 700.0, True)])
+def test_a_variant_that_a_scan_does_not_tell_from_the_best_is_held_against_it_fitted(scanned, fitted, tried):
+    best, other = (score("thermal_expansion", "rig", {}, [1e-5], [("coefficient", None, 1e-6)], delta) for delta in (scanned, scanned - 30))
+    asked = []
+
+    def add_term(fit, new):
+        asked.append(new)
+        return fit - fitted
+
+    problem = SimpleNamespace(policy=PLATFORM, size=lambda fit: 5000, add_term=add_term, likelihood_ratio=lambda fit, new: fit - new)
+    elsewhere = score("thermal_expansion", "strut 1", {}, [1e-5], [("coefficient", None, 1e-6)], scanned)
+    found, chosen = _exchanged(problem, 0.0, -900.0, best, [best, elsewhere, other])  # fitted, the best explains 900
+    assert asked == ([other] if tried else [])
+    assert (found, chosen) == ((-fitted, other) if tried and fitted > 900 else (-900.0, best))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera, terms", [("cam1", (2e-2, 0, 2e-2, 0)), ("cam2", (-3e-2, 1e-2, 0, 0))])
+def test_a_large_bend_of_a_lens_is_one_finding_of_the_terms_that_it_has(tmp_path, camera, terms):
+    (tmp_path / "rig.toml").write_text(layout(0.3))
+    text = "/".join(map(str, (*[0] * 8, *terms)))
+    assert cli.main(["simulate", str(tmp_path / "rig.toml"), "--plan", "standard", "--effect", f"lens_distortion:{camera}:terms={text}",
+                     "--seed", "5", "--noise", "0.03", "--out", str(tmp_path / "rec"), "--truth", str(tmp_path / "truth.json")]) == 0
+    found = diagnose(recording.load(tmp_path / "rec"), only=["lens_distortion"]).effects
+    assert [(e.name, e.place) for e in found] == [("lens_distortion", f"camera {camera}")]
+    assert not found[0].warp and np.flatnonzero(found[0].terms).min() == 8

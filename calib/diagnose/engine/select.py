@@ -142,18 +142,19 @@ def _step(problem: Problem[Fit, Model, C], fit: Fit, promising: list[Score[C]], 
 
 
 def _exchanged(problem: Problem[Fit, Model, C], fit: Fit, trial: Fit, best: Score[C], scores: list[Score[C]]) -> tuple[Fit, Score[C]]:
-    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that the scan does not tell from its `best`: it tells
-    variants apart by no less than what it missed of the one that was fitted, be it that a large effect is not linear in its numbers, or that
-    what a coarse variant leaves counted as scatter. trial : `fit` with `best`"""
-    size, missed = problem.size(fit), abs(problem.likelihood_ratio(fit, trial) - best.delta_chi2 * best.dispersion)
-    others = [s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)
-              and s.candidate is not best.candidate and best.evidence(size) - s.evidence(size) <= missed]
-    found, chosen, least = trial, best, best.complexity(size)
+    """(Fit, Score) with the variant of a name and place that is best once fitted, of those that may do better than the scan's `best`: by what
+    factor that explains more than the scan said, others may do so twice over, since a large effect is not linear in its numbers, and what a coarse
+    variant leaves counted as scatter. trial : `fit` with `best`"""
+    size, fitted = problem.size(fit), problem.likelihood_ratio(fit, trial)
+    variants = [s for s in scores if (s.candidate.name, s.candidate.place) == (best.candidate.name, best.candidate.place)]
+    told = next(s.delta_chi2 * s.dispersion for s in variants if s.candidate is best.candidate)
+    reach, least = max(fitted / told, 1.0) ** 2, fitted - best.complexity(size)
+    others = [s for s in variants if s.candidate is not best.candidate and reach * s.delta_chi2 * s.dispersion - s.complexity(size) >= least]
+    found, chosen = trial, best
     for s in sorted(others, key=lambda s: -s.evidence(size))[: problem.policy.refitted]:
         new = problem.add_term(fit, s)
-        cost = s.complexity(size) - problem.likelihood_ratio(trial, new)
-        if cost < least:
-            found, chosen, least = new, s, cost
+        if problem.likelihood_ratio(found, new) > s.complexity(size) - chosen.complexity(size):
+            found, chosen = new, s
     return found, chosen
 
 

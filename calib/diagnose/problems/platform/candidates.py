@@ -10,7 +10,7 @@ from calib.diagnose.engine.score import Score
 from calib.diagnose.problems.asked import Asked
 from calib.diagnose.problems.platform.operating_point import OperatingPoint
 from rig.effects.base import Context, Effect
-from rig.effects.candidate import COUNT, QUADRATURE
+from rig.effects.candidate import QUADRATURE
 from rig.effects.candidate import Candidate as EffectCandidate
 from rig.errors import FileError, RigError
 
@@ -52,11 +52,6 @@ class PlatformCandidate(Candidate):
             return Reach.AXES
         whole = [column.entry for column in self.spec.linear] == list(range(6))  # its columns are the six of one motion
         return Reach.MOUNT if self.kind.mount is not Effect.mount and whole else Reach.VIEW
-
-    @property
-    def profile(self) -> bool:
-        """Whether it is a curve of as many numbers as its variant says."""
-        return COUNT in self.grid[0] and not self.seen_alone
 
     def effect(self, node: Node, coefficients: np.ndarray) -> Effect:
         """The effect of a node with coefficients (q,) of its linear parameters."""

@@ -25,7 +25,7 @@ from rig.effects.check import check
 from rig.effects.coordinate import Coordinate, kept_sums, loose, priors_cost
 from rig.pose import exp
 
-MAX_ITERATIONS = 40  # few need more than eight; a large effect is not linear in its numbers
+MAX_ITERATIONS = 20  # few need more than eight; a large effect is not linear in its numbers
 SMALL = 0.02  # standard deviations; a step below settles a parameter
 HALVINGS = 8
 ENOUGH = 0.3  # of the cost; an iteration that gains less is the last
