@@ -80,12 +80,22 @@ def _known(files: list[Path], folder: Path, cameras: dict[str, str], names: str 
     for path in files:
         word, rest, _ = _camera(path, folder, cameras, names, ours)
         if word is None or word.lower() not in cameras:
-            unknown.setdefault(word or (rest.rsplit("/", 1)[0] if "/" in rest else rest), path)
+            unknown.setdefault(_named(word, rest), path)
     if unknown:
-        settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
-                            for k, theirs in enumerate(list(unknown)[:max(len(ours), 1)]))
-        raise FileError(next(iter(unknown.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
-                        "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
+        raise _unknown(unknown, ours)
+
+
+def _named(word: str | None, rest: str) -> str:
+    """What a user would say of which camera it is: its word, else the folder of a name with its folder, else that name."""
+    return word or (rest.rsplit("/", 1)[0] if "/" in rest else rest)
+
+
+def _unknown(words: dict[str, Path], ours: list[str]) -> FileError:
+    """FileError of words that stand for no camera of rig.toml, each of a file."""
+    settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
+                        for k, theirs in enumerate(list(words)[:max(len(ours), 1)]))
+    return FileError(next(iter(words.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
+                     "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
 
 
 def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> tuple[str | None, str, dict[str, str]]:
@@ -102,9 +112,10 @@ def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None
 
 
 def _picture(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> Picture:
-    """Picture of a file whose camera is known."""
-    found, rest, parts = _camera(path, folder, cameras, names, ours)
-    word = found or ""
+    """Picture of a file. Raises FileError where its camera is not known"""
+    word, rest, parts = _camera(path, folder, cameras, names, ours)
+    if word is None or word.lower() not in cameras:
+        raise _unknown({_named(word, rest): path}, ours)
     if names:
         return Picture(path, cameras[word.lower()], int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
     stem = rest.rsplit("/", 1)[-1]
