@@ -69,33 +69,31 @@ def pictures(images: Images, design: Design) -> list[Picture]:
         files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in KINDS and path.is_file())
         if not files:
             raise FileError(folder, f"holds no images ({', '.join(kind[1:] for kind in KINDS)})")
-        _known(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
-        found += [_picture(path, folder, cameras, images.names, [c.name for c in design.cameras]) for path in files[:MOST]]
+        found += of_folder(files[:MOST], folder, cameras, images.names, [c.name for c in design.cameras])
     return found
 
 
-def _known(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> None:
-    """Raise FileError that names all words of files that stand for no camera of rig.toml, with the settings that would say which."""
+def of_folder(files: list[Path], folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> list[Picture]:
+    """Pictures of a folder's files. cameras : {word in lower case: camera}; names : how names are built, None for as they come
+    ours : names of the cameras of rig.toml
+
+    Raises FileError that names all words of files that stand for no camera of rig.toml, with the settings that would say which, and where a name
+    does not tell frame or time
+    """
     unknown: dict[str, Path] = {}
+    told = []
     for path in files:
-        word, rest, _ = _camera(path, folder, cameras, names, ours)
+        word, rest, parts = _camera(path, folder, cameras, names, ours)
         if word is None or word.lower() not in cameras:
-            unknown.setdefault(_named(word, rest), path)
+            unknown.setdefault(word or (rest.rsplit("/", 1)[0] if "/" in rest else rest), path)
+        else:
+            told.append((path, word, rest, parts))
     if unknown:
-        raise _unknown(unknown, ours)
-
-
-def _named(word: str | None, rest: str) -> str:
-    """What a user would say of which camera it is: its word, else the folder of a name with its folder, else that name."""
-    return word or (rest.rsplit("/", 1)[0] if "/" in rest else rest)
-
-
-def _unknown(words: dict[str, Path], ours: list[str]) -> FileError:
-    """FileError of words that stand for no camera of rig.toml, each of a file."""
-    settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
-                        for k, theirs in enumerate(list(words)[:max(len(ours), 1)]))
-    return FileError(next(iter(words.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
-                     "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
+        settings = " ".join(f"--set 'images.cameras.{theirs}={ours[k % len(ours)] if ours else 'cam0'}'"
+                            for k, theirs in enumerate(list(unknown)[:max(len(ours), 1)]))
+        raise FileError(next(iter(unknown.values())), f"of which camera is it? rig.toml has {', '.join(ours) or 'none'}; {settings}, or the other "
+                        "way about, says what a word stands for, --set 'images.names={camera}_{frame}' how names are built")
+    return [_picture(path, cameras[word.lower()], word, rest, parts if names else None) for path, word, rest, parts in told]
 
 
 def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> tuple[str | None, str, dict[str, str]]:
@@ -111,16 +109,13 @@ def _camera(path: Path, folder: Path, cameras: dict[str, str], names: str | None
     return word, rest, parts
 
 
-def _picture(path: Path, folder: Path, cameras: dict[str, str], names: str | None, ours: list[str]) -> Picture:
-    """Picture of a file. Raises FileError where its camera is not known"""
-    word, rest, parts = _camera(path, folder, cameras, names, ours)
-    if word is None or word.lower() not in cameras:
-        raise _unknown({_named(word, rest): path}, ours)
-    if names:
-        return Picture(path, cameras[word.lower()], int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
+def _picture(path: Path, camera: str, word: str, rest: str, parts: dict[str, str] | None) -> Picture:
+    """Picture of a file. word : that stands for its camera; rest : its name with its folder; parts : of it by the stated pattern, None for none"""
+    if parts is not None:
+        return Picture(path, camera, int(parts["frame"]) if "frame" in parts else None, parts.get("time"))
     stem = rest.rsplit("/", 1)[-1]
     stem = re.sub(rf"(?<![a-z0-9]){re.escape(word)}(?![a-z0-9])", CAMERA, stem, flags=re.IGNORECASE)
-    return Picture(path, cameras[word.lower()], *_figures(path, stem))
+    return Picture(path, camera, *_figures(path, stem))
 
 
 def _by_pattern(path: Path, name: str, names: str) -> dict[str, str]:

@@ -147,8 +147,8 @@ def _foreign(folder, design):
     def names(path):
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()[:50]
         cameras = ["cam0", "cam1"]
-        found = [frames._picture(Path("in") / line.replace("\0", "0").lstrip("/")[:255], Path("in"), {name: name for name in cameras}, None, cameras)
-                 for line in lines if line.strip("/. ")]
+        files = [Path("in") / line.replace("\0", "0").lstrip("/")[:255] for line in lines if line.strip("/. ")]
+        found = frames.of_folder(files, Path("in"), {name: name for name in cameras}, None, cameras)
         return frames.exposed(found, Images((Path("in"),)), lambda t: True) if found else None
 
     return [Reader("foreign commands", (german, plain), lambda path: importing.commands.commands(ForeignTable(path), design)),

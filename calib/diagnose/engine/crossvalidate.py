@@ -66,17 +66,14 @@ def held_out(model: LinearModel, residuals: tuple[np.ndarray, ...], fold: np.nda
     """
     if model.half is not None:
         raise ValueError("only a model whose nuisances' basis is explicit can hold frames out")
-    if only is not None:
-        fold = fold == only
-    basis, holds = model.columns.whole, np.unique(fold).tolist() if only is None else [True]
-    known = [slice(int(block.edges[-1]), None) for block in model.blocks]
+    basis, known = model.columns.whole, [block.known_rows for block in model.blocks]
     held = sum(Q[at].T @ Q[at] for Q, at in zip(basis, known)) + RIDGE * np.eye(model.columns.count)
     pulled = sum(Q[at].T @ y[at] for Q, y, at in zip(basis, residuals, known))
     rights = {h: model.right(fold == h, residuals) for h in np.unique(fold).tolist()}
-    grams = {h: model.gram(fold == h) for h in rights if only is None or h not in holds}
+    grams = {h: model.gram(fold == h) for h in rights if h != only}
     everything = sum(rights.values()) + pulled
     out = [y[block.frames_rows].copy() for block, y in zip(model.blocks, residuals)]
-    for hold in holds:
+    for hold in rights if only is None else [only]:
         size = np.linalg.solve(sum(gram for h, gram in grams.items() if h != hold) + held,
                                sum(right for h, right in rights.items() if h != hold) + pulled)
         for left, Q, block in zip(out, basis, model.blocks):

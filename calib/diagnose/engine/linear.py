@@ -29,6 +29,11 @@ class Block:
         """The rows that belong to frames."""
         return slice(0, int(self.edges[-1]))
 
+    @property
+    def known_rows(self) -> slice:
+        """The rows of what was known beforehand."""
+        return slice(int(self.edges[-1]), None)
+
     def rows_of(self, some: np.ndarray) -> list[slice]:
         """The rows of some frames (F,) bool, those of frames that follow each other in one."""
         ends = np.flatnonzero(np.diff(np.r_[False, some, False]))

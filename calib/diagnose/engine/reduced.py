@@ -42,10 +42,10 @@ class Reduced:
     @staticmethod
     def on(model: LinearModel, products: FrameProducts, train: np.ndarray) -> "Reduced":
         """Reduced of the frames of a mask train (F,), the nuisances of a LinearModel with an explicit basis fitted to these alone."""
-        rows, own = np.flatnonzero(train), [slice(int(block.edges[-1]), None) for block in model.blocks]
-        basis = list(zip(model.columns.whole, model.blocks, own))
-        information = model.gram(train) + sum(Q[at].T @ Q[at] for Q, _, at in basis)
-        right = model.right(train, [block.residual for block in model.blocks]) + sum(Q[at].T @ block.residual[at] for Q, block, at in basis)
+        rows, known = np.flatnonzero(train), [(Q[block.known_rows], block.residual[block.known_rows])
+                                              for Q, block in zip(model.columns.whole, model.blocks)]
+        information = model.gram(train) + sum(Q.T @ Q for Q, _ in known)
+        right = model.right(train, [block.residual for block in model.blocks]) + sum(Q.T @ residual for Q, residual in known)
         confined = FrameProducts(products.beta[rows], products.gamma[rows], products.kappa[rows], products.half)
         return Reduced.of(confined, rows, (information, right))
 

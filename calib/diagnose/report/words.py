@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, SuggestionEntry, Value
-from rig.rounded import apart, rounded
+from rig.rounded import UNITS, apart, rounded
 
-SCALES = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "1/K": (1e6, "ppm/K"), "N/m": (1e-6, "N/µm")}
+SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
 LONG_TIME = 1000.0  # s; times from there on, and clocks, are written to a tenth of a second
 NOT_DETERMINED = "not determined"
 LONG = 4  # numbers of a vector that are written out

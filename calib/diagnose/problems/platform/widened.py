@@ -19,8 +19,6 @@ ROUNDS, SETTLED = 100, 1e-3  # of the fixed point; the part of what is tolerated
 
 def widened(refined: Refined, sensitivities: Sensitivities) -> Refined:
     """Refined whose covariance holds what temperatures' own errors and tolerances add."""
-    if refined.column is None:
-        return refined
     added = [half for half in (of_logs(refined), of_tolerances(refined, sensitivities)) if half is not None]
     return replace(refined, covariance=refined.covariance + sum(half @ half.T for half in added))
 
