@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from calib.conditions import Conditions, conditions
 from rig.errors import NotEnoughData
 from rig.recording import Recording
 
@@ -39,6 +40,7 @@ class Samples:
     common : (n, 6, k) factor of the shared errors: error = common z + own, z ~ N(0, I) once for all poses, docs/mathematics.md (6)
     known : (n, axes) m or rad by which the axes stood beyond their commands, as far as physics that is known says; None for none
     below : (Below, ..) of a chain, what else was measured
+    conditions : Conditions under which they were measured, None where no recording says
     """
 
     frame: np.ndarray
@@ -49,6 +51,7 @@ class Samples:
     common: np.ndarray
     known: np.ndarray | None = None
     below: tuple[Below, ...] = ()
+    conditions: Conditions | None = None
 
     def __post_init__(self) -> None:
         if not len(self.frame):
@@ -68,7 +71,8 @@ class Samples:
     def take(self, index: np.ndarray | slice) -> "Samples":
         """The samples of an index or mask (n,)."""
         return Samples(self.frame[index], self.t[index], self.commanded[index], self.T_base_platform[index], self.covariance[index],
-                       self.common[index], None if self.known is None else self.known[index], tuple(one.take(index) for one in self.below))
+                       self.common[index], None if self.known is None else self.known[index], tuple(one.take(index) for one in self.below),
+                       None if self.conditions is None else self.conditions.take(index))
 
     @property
     def effective(self) -> np.ndarray:
@@ -90,7 +94,7 @@ def samples(recording: Recording, frames: np.ndarray, T_base_platform: RigidTran
     known, t, values = recording.commanded()
     at = np.searchsorted(known, frames)
     common = np.zeros((len(frames), 6, 0)) if common is None else common
-    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common)
+    return Samples(np.asarray(frames), t[at], values[at], T_base_platform, covariance, common, conditions=conditions(recording, t[at]))
 
 
 def with_stage(samples: Samples, stage: int, frames: np.ndarray, T_base_stage: RigidTransform, covariance: np.ndarray,

@@ -125,7 +125,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
+        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and _claim_out(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}), "provenance": calibration.provenance,
     }
@@ -268,13 +268,19 @@ def _held_out_in(table: Entries) -> HeldOut | None:
                    configurations) if after.n else None
 
 
+def _claim_out(claim: Claim) -> dict[str, Any]:
+    tree = asdict(claim)
+    return tree if claim.unexplained else {name: value for name, value in tree.items() if name != "unexplained"}
+
+
 def _claim_in(table: Entries) -> Claim:
     def numbers(name: str, shape: tuple[int, ...]) -> Any:
         return None if table.get(name) is None else _tuples(table.array(name, shape).tolist())
 
     return Claim(table.whole("distinct", 0), table.whole("determined", 0), table.whole("better", 0), table.whole("unknowns", 0),
                  table.text("tolerance"), table.text("workspace"), numbers("before", (2, 3)), numbers("after", (2, 3)), numbers("ratio", (3,)),
-                 numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"))
+                 numbers("measured", (3,)), None if table.get("reason") is None else table.text("reason"),
+                 table.texts("unexplained") if "unexplained" in table.tree else ())
 
 
 def _tuples(values: Any) -> Any:

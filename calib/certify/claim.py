@@ -37,6 +37,7 @@ class Claim:
     before, after : RMS pose error all over it by the owner's model and corrected, (position m, rotation rad), each (median, low, high) with
     95 % between; ratio : before / after in position; measured : the same as the recording's own instrument would see it; each (median,
     low, high), None where no factor is claimed; reason : why none is, or None
+    unexplained : what the poses show that neither noise nor the claim explains, a sentence each; what stands here forbids "good"
     """
 
     distinct: int
@@ -50,6 +51,7 @@ class Claim:
     ratio: tuple[float, ...] | None
     measured: tuple[float, ...] | None
     reason: str | None = None
+    unexplained: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
