@@ -10,7 +10,7 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TextIO, TypeVar, cast
 
 from rig.commands.usage import Parser, add_common, with_figures
 from rig.errors import RigError
@@ -143,7 +143,7 @@ def _run(arguments: argparse.Namespace) -> int:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
             arguments.outputs = outputs
-            with _words(arguments), _compiling(), _workers(arguments):
+            with _reader_may_leave(name, outputs), _words(arguments), _compiling(), _workers(arguments):
                 status = arguments.run(arguments) or 0
         if outputs.pages:
             from rig.page.index import refresh
@@ -157,7 +157,7 @@ def _run(arguments: argparse.Namespace) -> int:
     except RigError as error:
         return _failed(f"{name}: {error}")
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _flushed("", 1)
         return 1
     except MemoryError:
         return _failed(f"{name}: there is not enough memory for this")
@@ -170,6 +170,23 @@ def _run(arguments: argparse.Namespace) -> int:
         return _failed(f"{name}: ended by signal {end.number}", 128 + end.number)
     except KeyboardInterrupt:
         return _failed(f"{name}: interrupted", 130)
+
+
+@contextmanager
+def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
+    """Within it a command that writes files finishes them though the reader of its standard output is gone, which is then reported."""
+    if sys.stdout is None:
+        yield
+        return
+    from rig.commands.standard_output import StandardOutput
+
+    out = StandardOutput(sys.stdout, lambda: outputs.in_use)
+    with redirect_stdout(cast(TextIO, out)):
+        yield
+        out.flush()
+    if out.closed_by_reader:
+        with suppress(OSError):
+            print(f"{name}: standard output was closed before all was printed; the files that this command writes are complete", file=sys.stderr)
 
 
 def _compiling() -> AbstractContextManager[None]:
@@ -258,7 +275,9 @@ def _flushed(name: str, status: S) -> S | int:
         message = ""
     except OSError as error:
         message = f"{name}: standard output cannot be written: {error.strerror}"
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes there at the interpreter's end
+    from rig.commands.standard_output import discard
+
+    discard(sys.stdout)
     if name and message:
         with suppress(OSError):
             print(message, file=sys.stderr, flush=True)

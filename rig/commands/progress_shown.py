@@ -64,8 +64,11 @@ class Progress:
 
 
 def compiling() -> None:
-    """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first time."""
-    if Progress.shown != "none":
+    """Say why nothing moves on for a while: a new installation, or a new version, compiles what is called for the first time.
+
+    On a terminal, or where lines are asked for; in a pipe the first line on the error output stays the command's own
+    """
+    if Progress.shown == "lines" or Progress.shown == "auto" and sys.stderr.isatty():
         from tqdm import tqdm
 
         tqdm.write("compiling for this computer, once: up to a minute", file=sys.stderr)

@@ -17,6 +17,7 @@ class Outputs:
 
     command : its name; inputs : paths that it reads, which are never written over; force : whether to write over what it did not make
     arguments : what the manifests say it was called with; a command may set fewer; data : marks of what it computed from, for them too
+    in_use : whether the command has begun to write any file
     """
 
     def __init__(self, command: str, arguments: Iterable[str] = (), inputs: Iterable[Path] = (), force: bool = False) -> None:
@@ -25,6 +26,7 @@ class Outputs:
         self.pages: list[Path] = []  # that are in their places by now
         self._staged: dict[Path, Staged] = {}
         self._growing: list[tuple[Path, int]] = []
+        self.in_use = False
 
     def __enter__(self) -> "Outputs":
         return self
@@ -133,6 +135,7 @@ class Outputs:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RigError(f"{path} cannot be made: {error.strerror}") from None
+        self.in_use = True
         sweep(path)
         (path / GROWING).mkdir(exist_ok=True)
         self._growing.append((path, folder_lock(path / GROWING, wait=False)))
@@ -141,6 +144,7 @@ class Outputs:
 
     def _beside(self, place: Path, path: Path) -> Staged:
         """The Staged of a folder. path : as the user named what is written there"""
+        self.in_use = True
         if place not in self._staged:
             try:
                 self._staged[place] = Staged(place, self.command)

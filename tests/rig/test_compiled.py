@@ -75,8 +75,12 @@ def test_who_waits_for_what_is_compiled_is_told_once_and_not_again_where_it_is_l
     assert told == ["compiling\n", ""]
 
 
-def test_nobody_is_told_who_wants_no_words(monkeypatch, capsys):
-    for shown, words in (("auto", "compiling for this computer, once: up to a minute\n"), ("none", "")):
-        monkeypatch.setattr(Progress, "shown", shown)
-        compiling()
-        assert capsys.readouterr().err == words
+@pytest.mark.parametrize("shown, terminal, words", [
+    ("auto", True, "compiling for this computer, once: up to a minute\n"), ("auto", False, ""), ("none", True, ""),
+    ("lines", False, "compiling for this computer, once: up to a minute\n")])
+def test_a_compile_notice_is_for_terminals_or_where_lines_are_wanted(shown, terminal, words, monkeypatch, capsys):
+    """In a pipe the first line is the command's own, however slow the machine compiles."""
+    monkeypatch.setattr(Progress, "shown", shown)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    compiling()
+    assert capsys.readouterr().err == words
