@@ -1,12 +1,15 @@
-"""No verdict depends on where the owner's clock counts from; moments are told by that clock."""
+"""No verdict and no page depends on where the owner's clock counts from; moments are reported by that clock."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.page import diagnosis_page
 from calib.diagnose.report.platform import report
+from calib.diagnose.report.platform_view import PlatformView
 from rig import recording
 from rig.effects import ALL
 from synthetic import blind
@@ -45,6 +48,29 @@ def test_a_verdict_does_not_depend_on_the_origin(tmp_path, design, text, kind):
     trees = verdicts(tmp_path / "rec", tmp_path, [kind], (ORIGINS[0], ORIGINS[-1]))
     assert [f["effect"] for f in trees["0"]["findings"]] == [kind]
     assert_same(trees)
+
+
+def test_no_page_depends_on_the_origin(tmp_path, design):
+    texts = ["missed_steps:strut2:jump=1.2e-4,time=150", "missed_steps:strut2:jump=1.2e-4,time=60", "camera_bump:cam1:motion=1e-3/0/0/0/0/0,time=100"]
+    recorded(tmp_path / "rec", design, texts, route="moving:8,sobol:36,moving:8")
+    pages = []
+    for origin in (ORIGINS[0], ORIGINS[-1]):
+        found = recording.load(counted_from(tmp_path / "rec", tmp_path / origin, origin))
+        diagnosed = diagnose(found, ["missed_steps strut 2", "camera_bump camera cam1"])
+        diagnosis_page(tmp_path / "page.html", report(diagnosed), PlatformView(found, diagnosed))
+        pages.append(cells((tmp_path / "page.html").read_text(encoding="utf-8")))
+    here, later = pages
+    moments = [i for i, (a, b) in enumerate(zip(here, later)) if a != b]
+    assert len(here) == len(later) and len(moments) == 2 + 2 * len(texts)  # the recording's name, twice; each moment and where it may lie
+    for i in moments[2:]:
+        by = np.array([[float(x) for x in re.findall(r"[\d.]+", page[i])] for page in pages])
+        np.testing.assert_allclose(by[1] - by[0], float(ORIGINS[-1]), rtol=0, atol=1.0)
+
+
+def cells(page):
+    """The texts of a page, one for each element, without what it carries to run."""
+    page = re.sub(r'<style>.*?</style>|<script.*?</script>', "", page, flags=re.DOTALL)
+    return [text for text in re.split(r"<[^>]*>", page) if text.strip()]
 
 
 @pytest.mark.slow

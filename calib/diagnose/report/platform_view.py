@@ -13,9 +13,12 @@ from calib.diagnose.report.schema import FindingEntry
 from calib.diagnose.report.schematic import schematic
 from calib.played import played
 from calib.scene import stage
+from rig.effects.base import Effect
 from rig.geometry import Free
+from rig.origin import Origin
 from rig.page.figure import bars, panels
-from rig.page.stage import Effect, view
+from rig.page.stage import Effect as Shown
+from rig.page.stage import view
 from rig.recording import Recording
 
 FAR = 10.0  # standard deviations; a corner farther off counts for no more in the page's bars
@@ -44,13 +47,13 @@ class PlatformView:
         d = self.diagnosis
         if finding.evidence.delta_bic is None:
             return None
-        number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e.values(), e.name, e.place))
+        number = next(f.number for f, e in zip(d.selection.findings, d.effects) if _same(finding, e, d.origin))
         return diagnostic_plot(d.selection.fit.refined, number)
 
     def in_space(self) -> list[str]:
         """The rig's poses, with what each finding that moves the platform does at sizes of it."""
         k = self.diagnosis.selection.fit.refined.point
-        effects, values = tuple[Effect, ...](), None
+        effects, values = tuple[Shown, ...](), None
         if k.commands is not None and not isinstance(k.design.mechanism, Free):
             tried = [played(k.design, k.commands, k.t, k.effects, which, k.sensors) for which in range(min(len(k.effects), PLAYED))]
             effects, values = tuple(one for one in tried if one is not None), k.motion(()).lengths
@@ -79,11 +82,16 @@ class PlatformView:
                 ("sensors", ", ".join(rec.sensors.channels) if rec.sensors is not None else "none")]
 
 
-def _same(finding: FindingEntry, values: dict[str, Any], name: str, place: str) -> bool:
-    """Whether a finding is the effect of a name at a place with values."""
-    if (finding.effect, finding.place) != (name, place):
+def _same(finding: FindingEntry, effect: Effect, origin: Origin) -> bool:
+    """Whether a finding is of an effect with its values; moments are reported by the owner's clock, of an origin."""
+    if (finding.effect, finding.place) != (effect.name, effect.place):
         return False
-    return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items() if n in values and np.size(p.value) == np.size(values[n]))
+    values: dict[str, Any] = effect.values()
+    moments = [p.name for p in effect.parameters if p.role == "moment" and p.name in finding.parameters]
+    if any(finding.parameters[name].value != origin.shown(values[name]) for name in moments):
+        return False
+    return all(np.allclose(p.value, values[n]) for n, p in finding.parameters.items()
+               if n in values and n not in moments and np.size(p.value) == np.size(values[n]))
 
 
 def _levels(d: PlatformDiagnosis, struts: np.ndarray) -> str:
