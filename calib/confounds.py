@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc
 
+from calib.conditions import conditions
 from calib.samples import Samples
 from rig import mechanisms
+from rig.design import Arm, Chain, Free
+from rig.entries import Entries
 from rig.kinds import Struts
-from rig.design import Arm, Chain
-from rig.recording import PAYLOAD
+from rig.recording import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
 ABSORBED = 0.5  # share of a cause, beyond chance, from which a correction by place absorbs more of it than it leaves
@@ -74,12 +76,39 @@ class Confounds:
                 "rows": [asdict(row) for row in self.rows], "constant": list(self.constant), "unjudged": list(self.unjudged)}
 
 
-def confounds(samples: Samples, mechanism: Struts | Arm | Chain) -> Confounds | None:
+def confounds(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confounds | None:
     """Confounds of the samples of a mechanism; None where no recording states their conditions."""
     known = samples.conditions
     if known is None:
         return None
     return of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.places(mechanism))
+
+
+def of_recordings(recordings: Sequence[Recording]) -> Confounds | None:
+    """Confounds of the exposures of recordings of one machine, one after the other in time; None where one has no commands.
+
+    A channel counts where every recording has it.
+    """
+    if any(recording.commands is None for recording in recordings):
+        return None
+    frames = [recording.commanded() for recording in recordings]
+    known = [conditions(recording, t) for recording, (_, t, _) in zip(recordings, frames)]
+    names = [name for name in known[0].channels if all(name in one.channels for one in known)]
+    begins = np.cumsum([0.0, *(float(one.t.max()) for one in known[:-1])])
+    return of_design(np.concatenate([values for _, _, values in frames]), np.concatenate([one.direction for one in known]),
+                     np.concatenate([one.t + begin for one, begin in zip(known, begins)]),
+                     {name: np.concatenate([one.channels[name] for one in known]) for name in names},
+                     mechanisms.places(recordings[0].design.mechanism))
+
+
+def confounds_in(table: Entries) -> Confounds:
+    """The Confounds of the tree that `Confounds.tree` gave. Raises FileError for anything else."""
+    return Confounds(table.whole("n", 0), tuple(_row_in(row) for row in table.tables("rows")), table.texts("constant"), table.texts("unjudged"))
+
+
+def _row_in(row: Entries) -> Confound:
+    shares = (row.number(name, least=0.0, most=1.0) for name in ("share", "chance", "p_value", "adjusted"))
+    return Confound(row.text("axis"), row.text("cause"), *shares)
 
 
 def of_design(values: np.ndarray, direction: np.ndarray, t: np.ndarray, channels: dict[str, np.ndarray], axes: Sequence[str]) -> Confounds:
@@ -116,7 +145,7 @@ def _shares(columns: np.ndarray, cause: np.ndarray) -> tuple[float, float, float
     basis = basis[:, sizes > 1e-9 * sizes[0]]
     p, free = basis.shape[1], n - basis.shape[1] - 1
     share = float(np.clip((basis.T @ centred) @ (basis.T @ centred) / (centred @ centred), 0.0, 1.0))
-    p_value = float(1 - betainc(p / 2, free / 2, share))
+    p_value = float(np.clip(1 - betainc(p / 2, free / 2, share), 0.0, 1.0))
     return share, p / (n - 1), p_value, float(max(1 - (1 - share) * (n - 1) / free, 0.0))
 
 

@@ -10,6 +10,7 @@ from calib.arms.certify import Certified as ArmCertified
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Certified
 from calib.certify.claim import Claim
+from calib.confounds import confounds
 from calib.chains.certify import Certified as ChainCertified
 from calib.correct.physics import Physics
 from calib.pipeline import Sampled
@@ -33,4 +34,4 @@ def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified 
         source = store.after(source, *before)
     return with_workspace(Calibration(
         done.correction, covariance, found.scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics))
+        done.held_out, source, claim, physics, confounds=confounds(sampled.samples, recording.design.mechanism)))

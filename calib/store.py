@@ -20,6 +20,7 @@ from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim
 from calib.certify.held_out import Figures, HeldOut
 from calib.chains import model as chains
+from calib.confounds import confounds_in
 from calib.correct.correction import Correction
 from calib.correct.interpolate import kinds
 from calib.correct.interpolate.radial import Radial
@@ -70,8 +71,7 @@ def provenance(recording: Recording, arguments: Sequence[str], seed: int, used_i
         files |= {f"{k + 1} {part.recording.name}/{name}": digest for name, digest in own.items()} if recording.parts else own
     files.update({Path(path).name: _hash([path]) for path in beside})
     return {"recording": recording.name, "inputs_sha256": files, "data": sorted({*flat(marks(recording)), *data}),
-            "arguments": list(arguments), "seed": seed,
-            "versions": versions(),
+            "arguments": list(arguments), "seed": seed, "versions": versions(),
             "created": datetime.now(UTC).isoformat(timespec="seconds")}
 
 
@@ -117,8 +117,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
     tree = {
         "schema": WITH_POSE_MAPS if correction.posed else SCHEMA if calibration.physics is None else WITH_PHYSICS,
         "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
-        "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted),
-        "parameter_order": _order(correction),
+        "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted), "parameter_order": _order(correction),
         "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
@@ -127,7 +126,8 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
         "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and _claim_out(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
-        **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}), "provenance": calibration.provenance,
+        **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}),
+        **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}), "provenance": calibration.provenance,
     }
     write_text(path, json.dumps(tree, indent=1) + "\n")
 
@@ -138,8 +138,7 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
     nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
     if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
-        tree.fail(f"fitted is a mechanism of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with "
-                  f"{len(nominal.axes)}")
+        tree.fail(f"fitted is of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with {len(nominal.axes)}")
     correction = _correction_in(tree, nominal, fitted)
     nominal = correction.nominal
     count = len((chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal))
@@ -148,7 +147,8 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
                        physics_in(tree.table("physics"), nominal, count, kinds) if tree.tree["schema"] == WITH_PHYSICS else None,
-                       workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None)
+                       workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
+                       confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None)
 
 
 def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 from calib.certify.claim import Claim
 from calib.certify.held_out import HeldOut
 from calib.certify.verdict import verdict
+from calib.confounds import Confounds
 from calib.correct.correction import Correction
 from calib.correct.physics import Physics
 from calib.samples import Samples
@@ -25,7 +26,8 @@ class Calibration:
     held_out : HeldOut, or None where too few configurations were recorded to hold any out
     provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one
     physics : Physics that was found beyond the geometry and is undone with it, or None
-    workspace : Workspace, what the correction does to it, or None in files of before it was worked out"""
+    workspace : Workspace, what the correction does to it, or None in files of before it was worked out
+    confounds : Confounds of the recording that was fitted, or None where no recording states them"""
 
     correction: Correction[Any, Any]
     covariance: np.ndarray
@@ -37,6 +39,7 @@ class Calibration:
     claim: Claim | None = None
     physics: Physics | None = None
     workspace: Workspace | None = None
+    confounds: Confounds | None = None
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

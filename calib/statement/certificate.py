@@ -15,6 +15,7 @@ from calib.certify.held_poses import HeldPoses, held_poses
 from calib.certify.promise import Bound, Cell, Promise, cells, promised
 from calib.certify.repeats import Iso9283, Repeatability, iso9283, repeatability
 from calib.certify.reversal import AxisTest, iso230
+from calib.confounds import Confounds, of_recordings
 from calib.pipeline import Sampled
 from calib.pose_covariance import pose_covariance
 from calib.statement.conditions import Conditions, Volume, conditions, volume
@@ -40,7 +41,7 @@ class Asked:
 class Certificate:
     """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise, cells : whole volume and boxes of it
     errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and calibrated, of those
-    provenance : {what: value} of inputs' hashes, versions, seed and arguments."""
+    provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings."""
 
     machine: str
     asked: Asked
@@ -57,6 +58,7 @@ class Certificate:
     before: Figures
     after: Figures
     provenance: dict[str, Any]
+    confounds: Confounds | None = None
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -82,7 +84,8 @@ def certified(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]
                                                           [(s.samples, s.measurement) for _, s in held], asked.scale,
                               thermometer(calibration, [(recording, s.samples) for recording, s in held])),
                        conditions(poses, [recording for recording, _ in held], [s.source for _, s in held]),
-                       poses.errors[at], figures(poses.plain[at]), figures(poses.errors[at]), provenance)
+                       poses.errors[at], figures(poses.plain[at]), figures(poses.errors[at]), provenance,
+                       of_recordings([recording for recording, _ in held]))
 
 
 def together(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]]) -> HeldPoses:

@@ -32,7 +32,7 @@ def tree(c: Certificate) -> dict[str, Any]:
         "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
         "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
         "conformity": [asdict(k) for k in c.conformity], "budget": {"k": 2, **asdict(c.budget)}, "conditions": asdict(c.conditions),
-        **c.provenance}
+        **({} if c.confounds is None else {"confounds": c.confounds.tree()}), **c.provenance}
     return {name: nulls(value) for name, value in out.items()}
 
 

@@ -69,9 +69,15 @@ def rest_lines(c: Certificate) -> list[str]:
                      f"The error is {ratio:.2f} times it.")
     else:
         lines.append(f"Repeatability is not known: no configuration was visited twice. A measured pose is uncertain by {um(r.noise[0])}.")
+    if c.confounds is not None:
+        lines.append(_sentence(c.confounds.line()))
     if not c.cells:
         lines.append("No bound for parts of the volume: that takes as many configurations in each as for the whole.")
     return lines
+
+
+def _sentence(line: str) -> str:
+    return line[:1].upper() + line[1:] + "."
 
 
 def _median(c: Certificate) -> float:

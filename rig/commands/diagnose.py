@@ -173,6 +173,8 @@ def _print(report: Report) -> None:
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))
         print(f"held out, {what}: {before:.4g} {unit} before, {after:.4g} after; noise {floor:.4g}")
+    if report.confounds is not None:
+        print(report.confounds.line())
 
 
 def _known(path: Path, recording: Recording, own: tuple[Plugin, ...]) -> Calibration:

@@ -56,15 +56,27 @@ def run(arguments: Namespace) -> None:
     sampled = partial(from_limbs.sampled, arguments, recording, progress)
     if arguments.learner != following.WATCHING:
         followed, arguments.result = following.follow(arguments, recording, sampled, calibration, state, progress)
+        _state_confounds(arguments, recording)
         _show(page, arguments, recording, followed)
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
     learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress)
+    _state_confounds(arguments, recording)
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
     _show(page, arguments, recording, learnt)
+
+
+def _state_confounds(arguments: Namespace, recording: Recording) -> None:
+    """Print the confounds of a recording in a line, and add them to what --json prints."""
+    from calib.confounds import of_recordings
+
+    confounds = of_recordings([recording])
+    assert confounds is not None  # what is learnt was commanded
+    print(confounds.line())
+    arguments.result["confounds"] = confounds.tree()
 
 
 def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: Learnt) -> None:

@@ -64,6 +64,7 @@ def run(arguments: Namespace) -> None:
 
     from calib.certify.held_out import compare, errors_of
     from calib.certify.configurations import labels, ranges
+    from calib.confounds import of_recordings
     from calib.pipeline import sample_recording
 
     sampled = sample_recording(recording, progress=progress)
@@ -74,6 +75,7 @@ def run(arguments: Namespace) -> None:
     progress.close()
     same = store.seen_before(calibration, recording)
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
+    confounds = of_recordings([recording])
     if page is not None:
         from calib.pages.verified import Verified, verified_page
 
@@ -81,12 +83,14 @@ def run(arguments: Namespace) -> None:
         told = Verified(recording.design, samples, before, after, held, calibration.claim, same, driven, unsolved)
         verified_page(page, recording.name, told, near(arguments, arguments.page))
     if arguments.json:
-        print_json(_verification(held, same, sampled, driven, calibration.claim))
+        print_json(_verification(held, same, sampled, driven, calibration.claim) | {"confounds": confounds and confounds.tree()})
         return
     if same:
         print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
               "figures are not held out", file=sys.stderr)
     _say(held, same, driven, calibration.claim, sampled)
+    if confounds is not None:
+        print(confounds.line())
     if page is not None:
         print(f"written: {arguments.page}")
 

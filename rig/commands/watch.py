@@ -48,6 +48,7 @@ def run(arguments: Namespace) -> int:
 
 def _watch(arguments: Namespace) -> int:
     from calib import store
+    from calib.confounds import of_recordings
     from calib.drift import history_file, words
     from calib.drift.history import History, take
     from calib.pages.watched import Visit, watched_page
@@ -69,11 +70,12 @@ def _watch(arguments: Namespace) -> int:
         progress.close()
         assert history.reference is not None
         changed = verdict.alarm
-        told.append(_tree(verdict, history, scale))
+        confounds = of_recordings([recording])
+        told.append(_tree(verdict, history, scale) | {"confounds": confounds and confounds.tree()})
         lines = words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)
         seen.append(Visit(history.visits[-1].name, verdict, lines, scale))
         if not arguments.json:
-            print("\n".join(lines))
+            print("\n".join([*lines, *([] if confounds is None else [f"  {confounds.line()}"])]))
     if kept is not None:
         history_file.save(kept, history)
     if page is not None:

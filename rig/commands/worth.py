@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
     """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as calibration.json has them."""
     held, claim = calibration.held_out, calibration.claim
-    arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses}
+    arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses,
+                        "confounds": calibration.confounds and calibration.confounds.tree()}
+    if calibration.confounds is not None:
+        print(calibration.confounds.line())
     _say_promise(arguments.promise, claim)
     _say_workspace(calibration)
 

@@ -54,7 +54,7 @@ def report(d: ArmDiagnosis) -> Report:
                   recordings=recording_entries(d.parts),
                   own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
-                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()})
+                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds)
 
 
 def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:

@@ -50,7 +50,7 @@ def report(d: PlatformDiagnosis) -> Report:
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said,
-                  recording_entries(d.parts), effects_files(d.own), suggestion_entries(d.suggestions))
+                  recording_entries(d.parts), effects_files(d.own), suggestion_entries(d.suggestions), confounds=d.confounds)
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.confounds import Confounds
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.problems.suggestion import Suggestion
@@ -217,7 +218,7 @@ class Report:
     covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
     recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
     suggestions : formulas for what has no name
-    more : what one kind of machine has to say besides"""
+    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded"""
 
     recording: str
     start_s: float
@@ -234,6 +235,7 @@ class Report:
     own_effects: tuple[EffectsFile, ...] = ()
     suggestions: tuple[SuggestionEntry, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
+    confounds: Confounds | None = None
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -259,8 +261,10 @@ class Report:
 
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json."""
-        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "more" and (f.name != "recordings" or self.recordings)}
-        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more}
+        apart = ("more", "confounds", *(() if self.recordings else ("recordings",)))
+        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
+        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more,
+                "confounds": self.confounds and self.confounds.tree()}
 
 
 def _plain(value: Any) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
+from calib.confounds import Confounds, of_recordings
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation, stretches
 from calib.diagnose.engine.given import UNSAID, Given
@@ -86,6 +87,7 @@ class ArmDiagnosis:
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
+    confounds: Confounds | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -107,7 +109,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
         arms = replace(arms, sight=partial(foreseen, sampled.measurement, recording.design))
     done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
-    return replace(done, origin=recording.origin, parts=recording.parts)
+    return replace(done, origin=recording.origin, parts=recording.parts, confounds=of_recordings([recording]))
 
 
 def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked, progress: Progress | None = None,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from calib.confounds import Confounds, of_recordings
 from calib.diagnose.engine.candidates import NotAsked
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.given import UNSAID, Given
@@ -76,6 +77,7 @@ class PlatformDiagnosis:
     parts: tuple[Part, ...] = ()
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
+    confounds: Confounds | None = None
 
     @property
     def effects(self) -> list[Effect]:
@@ -128,7 +130,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
     return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
                              not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
-                             given, parts=recording.parts, suggestions=suggested)
+                             given, parts=recording.parts, suggestions=suggested, confounds=of_recordings([recording]))
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:
