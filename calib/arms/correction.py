@@ -6,12 +6,13 @@ as it comes, see rig.mechanisms.deficient, and what is left is for `rest` to say
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.arms import model
+from calib.arms.branch import led
 from calib.arms.profile import Profile
 from calib.correct.correction import Correction, Responses
 from rig.design import Arm
@@ -23,7 +24,7 @@ from rig.pose import difference
 STARTS = 4  # visited configurations tried as a start before any other
 ITERATIONS = 40
 TOLERANCE = 1e-11  # m and rad; of the pose that a command is predicted to give
-NEAR = 0.05  # m and rad; what the owner's model may leave of a pose for its joint solution to be a start
+NEAR = 0.05  # m and rad; what the fitted arm may leave of a pose for its joint solution to be a start
 STEP = 0.3  # rad; longest single correction
 FAR, LIKE, MET = 0.05, 1e-6, 1e-10  # m and rad; of an arm of few joints: out of reach, as near as any, a position that is met
 NEAR_SINGULAR = 1e-6  # of the greatest singular value of a Jacobian; less is a direction that no joint moves in
@@ -43,16 +44,30 @@ class ArmCorrection(Correction[Arm, Profile]):
         return len(self.nominal.joints) < deficient.WHOLE
 
     def summand(self, commands: np.ndarray) -> np.ndarray:
-        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it gives."""
+        """KSF (..., joints) rad or m at commands: commanded less what the owner's model says for the pose that it gives.
+
+        Raises Unreachable with the index of commands near which the owner's model does not take that pose
+        """
         if self.deficient:
             return commands - deficient.nearest(self.predict(commands), self.nominal, commands, deficient.directions(self.nominal))[0]
-        return commands - mechanism.inverse(self.predict(commands), self.nominal, commands)
+        flat = commands.reshape(-1, commands.shape[-1])
+        found, left = mechanism.solve(self.predict(flat), self.nominal, flat, starts=0)
+        far = np.flatnonzero(left > mechanism.GOOD)
+        if len(far):
+            raise Unreachable(f"the owner's model does not take {len(far)} of {len(flat)} corrected poses in their own posture:", far,
+                              [f"pose {i}: it comes no nearer than {left[i]:.3g} m or rad" for i in far.tolist()])
+        return mechanism.apart(flat, found, self.nominal).reshape(commands.shape)
+
+    def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+        """(n, joints) rad or m by which commands (n, joints) differ from those nearest to them that give wanted poses (n,), whole turns aside; NaN
+        where none is found."""
+        return mechanism.apart(commands, self.near(T_base_platform, commands), self.nominal)
 
     def uncorrected(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., joints) rad or m that the owner's model gives for wanted poses (m,), as the nearest visited ones took them."""
         if self.deficient:
             return self._nearest(T_base_platform, self._near(T_base_platform), self.nominal, None)
-        return mechanism.inverse(T_base_platform, self.nominal, self._near(T_base_platform)[:, 0])
+        return mechanism.inverse(T_base_platform, self.nominal, self._found_from(T_base_platform, self._near(T_base_platform))[0])
 
     def taken(self, T_base_platform: RigidTransform, commands: np.ndarray) -> RigidTransform:
         """The poses (n,) that commands (n, joints) found for wanted poses (n,) give: with too few joints those nearest to them."""
@@ -80,8 +95,8 @@ class ArmCorrection(Correction[Arm, Profile]):
         """Commands (..., joints) rad or m that give wanted poses (...), or come nearest to them; limits are for `reachable` to check.
 
         guess : (..., joints) rad or m, what is near; by default the nearest visited configurations
-        The joint solution of the owner's model is the start; all errors but the joints' own are made up for by J^+ dPOS near the
-        wanted pose, iterated; the joints' own errors are simply added, last.
+        The start is where these lead when the hand goes straight to the pose; what the profiles of the joints add there is made up for by J^+ dPOS,
+        iterated.
         Raises Unreachable with the index of poses that no start leads to
         """
         shape = T_base_platform.shape
@@ -90,28 +105,33 @@ class ArmCorrection(Correction[Arm, Profile]):
         starts = self._near(T) if guess is None else np.broadcast_to(guess, (*shape, n)).reshape(-1, n)[:, None]
         if self.deficient:
             return self._nearest(T, starts, self.fitted, self.rho).reshape(*shape, n)
-        commands, left = np.full((len(T), n), np.nan), np.full(len(T), np.inf)
-        for k in range(starts.shape[1] + 1):
-            todo = np.flatnonzero((left > TOLERANCE) | (mechanism.limits(commands, self.nominal) != 0).any(axis=1))
-            if not len(todo):
-                break
-            start = starts[todo, min(k, starts.shape[1] - 1)]
-            q, reached = mechanism.solve(T[todo], self.nominal, start, starts=0 if k < starts.shape[1] else mechanism.STARTS)
-            q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
-            better = (reached <= TOLERANCE) | (reached < left[todo])
-            commands[todo[better]], left[todo[better]] = q[better], reached[better]
+        commands, left = self._found_from(T, starts)
         failed = np.flatnonzero(left > TOLERANCE)
         if len(failed):
             raise Unreachable(f"{len(failed)} of {len(T)} wanted poses are out of the arm's reach:", failed,
                               [f"pose {i}: no command comes nearer than {left[i]:.3g} m or rad" for i in failed])
         return commands.reshape(*shape, n)
 
+    def _found_from(self, T: RigidTransform, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(commands (m, joints), left (m,) m or rad) for poses T (m,), from starts (m, k, joints) in turn, then from anywhere."""
+        commands, left = np.full((len(T), starts.shape[2]), np.nan), np.full(len(T), np.inf)
+        for k in range(starts.shape[1] + 1):
+            todo = np.flatnonzero((left > TOLERANCE) | (mechanism.limits(commands, self.nominal) != 0).any(axis=1))
+            if not len(todo):
+                break
+            start = starts[todo, min(k, starts.shape[1] - 1)]
+            q, reached = led(T[todo], self.fitted, start) if k < starts.shape[1] else mechanism.solve(T[todo], self.fitted, start)
+            q, reached = self._compensate(T[todo], np.where((reached < NEAR)[:, None], q, start))
+            better = (reached <= TOLERANCE) | (reached < left[todo])
+            commands[todo[better]], left[todo[better]] = q[better], reached[better]
+        return commands, left
+
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
         """Commands (n, joints) rad or m that give poses (n,), sought from the guess (n, joints) alone; NaN where it leads to none."""
         if self.deficient:
             q, good, _ = self._led(T_base_platform, guess, self.fitted, self.rho)
             return np.where(good[:, None], q, np.nan)
-        q, reached = mechanism.solve(T_base_platform, self.nominal, guess, starts=0)
+        q, reached = led(T_base_platform, self.fitted, guess)
         commands, left = self._compensate(T_base_platform, np.where((reached < NEAR)[:, None], q, guess))
         return np.where((left <= TOLERANCE)[:, None], commands, np.nan)
 
@@ -144,15 +164,11 @@ class ArmCorrection(Correction[Arm, Profile]):
         return mechanism.wrapped(q, self.nominal, q), good, rest
 
     def _compensate(self, T: RigidTransform, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(commands, left): from joint solutions q (m, n) of the owner's model, by differential error transforms."""
-        offset = model.zeros(self.fitted) - model.zeros(self.nominal)
-        rows = self.fitted.rows.copy()
-        rows[np.arange(len(rows)), self.fitted.slides.astype(int)] = model.zeros(self.nominal)
-        rest = replace(self.fitted, joints=rows)
+        """(commands, left): from joint solutions q (m, n) of the fitted arm, by differential error transforms."""
         left = np.full(len(q), np.inf)
         best, going = q.copy(), np.arange(len(q))
         for _ in range(ITERATIONS):
-            error = difference(mechanism.forward(q - self.rho(q - offset), rest), T[going])
+            error = difference(mechanism.forward(q - self.rho(q), self.fitted), T[going])
             size = np.maximum(np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1))
             better = size < left[going]
             best[going[better]], left[going[better]] = q[better], size[better]
@@ -160,12 +176,11 @@ class ArmCorrection(Correction[Arm, Profile]):
             if not on.any():
                 break
             going, q, error, size = going[on], q[on], error[on], size[on]
-            J = mechanism.jacobian(q, rest)
+            J = mechanism.jacobian(q, self.fitted)
             damping = (size**2 + 1e-14)[:, None, None] * np.eye(6)
             step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(J @ np.swapaxes(J, 1, 2) + damping, error[..., None]))[..., 0]
             q = q + step / np.maximum(1, np.abs(step).max(axis=1, keepdims=True) / STEP)
-        commands = best - offset
-        return mechanism.wrapped(commands, self.nominal, commands), left
+        return mechanism.wrapped(best, self.nominal, best), left
 
     def _near(self, T: RigidTransform) -> np.ndarray:
         """(m, STARTS, joints) visited configurations whose poses are nearest to T (m,), nearest first."""

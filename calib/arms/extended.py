@@ -163,7 +163,7 @@ def single_step_misses(correction: ArmCorrection) -> tuple[float, float]:
     q = _places(correction)
     x = q - _summand(correction, q)
     near = np.isfinite(x).all(axis=1)
-    off = x[near] + _summand(correction, x[near]) - q[near]
+    off = mechanism.apart(x[near] + _summand(correction, x[near]), q[near], correction.nominal)
     return float(np.sqrt(np.nanmean(off**2))), float(np.nanmax(np.abs(off)))
 
 
@@ -173,7 +173,7 @@ def _summand(correction: ArmCorrection, q: np.ndarray) -> np.ndarray:
     if correction.deficient:
         return correction.summand(q)
     found, rest = mechanism.solve(correction.predict(q), correction.nominal, q, starts=0)
-    return np.where((rest <= mechanism.GOOD)[:, None], q - found, np.nan)
+    return np.where((rest <= mechanism.GOOD)[:, None], mechanism.apart(q, found, correction.nominal), np.nan)
 
 
 def _places(correction: ArmCorrection) -> np.ndarray:

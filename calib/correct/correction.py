@@ -97,6 +97,10 @@ class Correction(Generic[M, R]):
         x = self.uncorrected(T_base_platform)
         return x + self.summand(x)
 
+    def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
+        """(n, axes) m or rad by which commands (n, axes) differ from those that give wanted poses (n,). Raises NotConverged as `inverse`"""
+        return commands - self.inverse(T_base_platform)
+
     def corrected_forward(self, configurations: np.ndarray) -> RigidTransform:
         """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x (..., axes) gives.
 

@@ -91,8 +91,8 @@ def run(arguments: Namespace) -> None:
     if field is not None and not field.inside(done.values).all():
         print(f"{(~field.inside(done.values)).sum()} of them lie beyond the samples of the correction: there it is extrapolated, continuously")
     if arguments.single_step:
-        off = done.values - correction.inverse(wanted.poses.T_base_platform[keep])
-        print(f"the single step misses the fixed point by {np.abs(off).max():.3g} {mechanisms.unit(correction.nominal)} at most")
+        off = correction.missed(wanted.poses.T_base_platform[keep], done.values)
+        print(f"the single step misses the fixed point by {np.nanmax(np.abs(off)):.3g} {mechanisms.unit(correction.nominal)} at most")
 
 
 def _commanded(arguments: Namespace, calibration: Calibration, wanted: Wanted, keep: np.ndarray,

@@ -207,6 +207,12 @@ def wrapped(q: np.ndarray, arm: Arm, near: np.ndarray) -> np.ndarray:
     return np.where(q > high, q - turn * np.round((q - near) / turn), q)
 
 
+def apart(q: np.ndarray, other: np.ndarray, arm: Arm) -> np.ndarray:
+    """(..., n) rad, of slides m, by which joint values q (..., n) differ from other ones, whole turns aside."""
+    away = np.asarray(q, float) - other
+    return away - np.where(arm.slides, 0.0, 2 * np.pi * np.round(away / (2 * np.pi)))
+
+
 def _descend(q: np.ndarray, target: np.ndarray, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     """(q, error): Levenberg-Marquardt on the pose error of a flat batch, damped by the error's own size."""
     q = q.copy()

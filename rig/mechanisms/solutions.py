@@ -44,10 +44,8 @@ def solutions(T_base_platform: RigidTransform, arm: Arm, starts: int = STARTS) -
 
 def _once(q: np.ndarray, order: list[int], arm: Arm) -> list[int]:
     """Of indices into q (m, n) in an order those that are apart, whole turns aside."""
-    turn = np.where(arm.slides, 0.0, 2 * np.pi)
     kept: list[int] = []
     for k in order:
-        apart = [q[k] - q[other] for other in kept]
-        if all(np.abs(a - turn * np.round(a / (2 * np.pi))).max() >= SAME for a in apart):
+        if all(np.abs(mechanism.apart(q[k], q[other], arm)).max() >= SAME for other in kept):
             kept.append(k)
     return kept
