@@ -1,0 +1,124 @@
+"""A case: a secret machine, its owner's belief, its fault, its day and its recording's plan, all drawn from a seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.truth.draw_faults import FAULTS, LOADED, MOVING, SLOW, STRUTS_ALONE, Asked
+from tests.truth.draw_machines import nominal, secret
+from tests.truth.journey import PLANS, Journey, journey, middle, visits
+from tests.truth.kinematics import Machine
+from tests.truth.laws import Law, stood
+from tests.truth.motion import Conditions
+from tests.truth.rigid import displaced, rows_of
+
+STRENGTHS = ("none", "weak", "strong")
+
+
+@dataclass(frozen=True)
+class Case:
+    """owner, machine : the machine as believed and as it is; laws : its faults; day : Conditions; way : Journey that was recorded
+    seen : (n, 6) poses in poses.csv; sigma : (m, rad) of the instrument, a coordinate; speeds : (axes,); dwell : s
+    mass, centre, payload : kg, m, m as rig.toml states them; logged : which sensors are kept: "temperature", "payload" or ""
+    """
+
+    seed: int
+    kind: str
+    effect: str
+    strength: str
+    plan: str
+    variant: int
+    owner: Machine
+    machine: Machine
+    laws: tuple[Law, ...]
+    day: Conditions
+    way: Journey
+    seen: np.ndarray
+    sigma: tuple[float, float]
+    speeds: np.ndarray
+    dwell: float
+    mass: float
+    centre: np.ndarray
+    payload: np.ndarray
+    logged: str
+    size: float
+
+
+def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: str = "shuffled", kind: str = "hexapod",
+         count: int | None = None, variant: int | None = None) -> Case:
+    """Case of a seed: the same for the same arguments, on any computer with the same numpy.
+
+    effect : a name of FAULTS, or "none"; strength : of STRENGTHS: nothing, one to two standard deviations of the instrument, or ten to fifty
+    plan : of PLANS; kind : of draw_machines.KINDS; count : configurations, 14 (ladders) or 14 to 60 by default; variant : which of the fault's laws,
+    any by default. Raises ValueError for names that are not known.
+    """
+    if strength not in STRENGTHS or plan not in PLANS or effect not in (*FAULTS, "none"):
+        raise ValueError(f"no case of {effect!r}, {strength!r}, {plan!r}")
+    if effect in STRUTS_ALONE and kind != "hexapod":
+        raise ValueError(f"{effect} is drawn for hexapods, not for a machine of kind {kind!r}")
+    rng = np.random.default_rng([seed, *effect.encode(), *plan.encode(), *kind.encode()])
+    owner = nominal(kind, rng)
+    machine = secret(owner, float(10 ** rng.uniform(-4.3, -3)), rng)
+    sigma = float(10 ** rng.uniform(-6, -5.2))
+    if count is None:
+        count = 14 if plan == "ladders" else int(rng.integers(14, 61))
+        count = max(count, 20) if kind != "hexapod" else count
+    dwell = 60.0 if effect in SLOW else float(rng.uniform(5, 20)) if effect == "creep" else 2.0
+    speeds = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 0.5, 0.02)
+    way = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in MOVING or plan == "moving")
+    warmth = float(rng.uniform(4, 8))
+    span = float(way.t[-1])
+    mass = float(rng.uniform(5, 20))
+    centre, payload = np.array([0, 0, rng.uniform(0.01, 0.05)]), np.array([0, 0, rng.uniform(0.05, 0.15)])
+    loads = np.array([[0.0, 0.0]])
+    if effect in LOADED and rng.uniform() < 0.7:
+        loads = np.array([[0.0, 0.0], [span / 3, 0.6 * mass], [2 * span / 3, 0.3 * mass]])
+    day = Conditions((20 + rng.uniform(-1, 1), warmth * rng.choice([-1, 1]), 0.2 * warmth, span / rng.uniform(1.2, 2.5), span),
+                     rng.uniform(0, 0.3, owner.width) * warmth, loads)
+    axes = np.zeros(owner.width)
+    if rng.uniform() < 0.5:
+        axes[int(rng.integers(owner.width))] = 1.0
+    else:
+        axes = rng.uniform(0.3, 1.2, owner.width)
+    size = {"none": 0.0, "weak": float(rng.uniform(1, 2)), "strong": float(10 ** rng.uniform(1, 1.7))}[strength] * sigma
+    laws: tuple[Law, ...] = ()
+    if size > 0 and effect != "none":
+        scale = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # an arm's angles, at half a metre
+        found = FAULTS[effect](Asked(size, axes * scale, machine, way, warmth, mass, centre, payload, rng))
+        chosen = int(rng.integers(len(found)))
+        variant = chosen if variant is None else variant
+        laws = (found[variant],)
+    true = stood(machine, way, day, laws)
+    noise = rng.normal(size=(len(way.looked), 6)) * np.r_[np.full(3, sigma), np.full(3, sigma / 0.1)]
+    logged = "temperature" if effect in SLOW[::2] else "payload" if effect in LOADED else ""
+    return Case(seed, kind, effect, strength, plan, variant or 0, owner, machine, laws, day, way, rows_of(displaced(true, noise)),
+                (sigma, sigma / 0.1), speeds, dwell, mass, centre, payload, logged, size)
+
+
+def wanted(case: Case, count: int = 120) -> np.ndarray:
+    """(count, 4, 4) fresh poses to be driven to: the owner's own of values scattered over the middle 80 % of the travels."""
+    rng = np.random.default_rng([case.seed, 77])
+    ranges = case.owner.ranges
+    if case.kind == "arm":  # whose workspace is what was recorded of each joint
+        ranges = np.stack([case.way.values.min(axis=0), case.way.values.max(axis=0)], axis=1)
+    return case.owner.forward(middle(ranges, rng.uniform(size=(count, len(ranges)))))
+
+
+def drive(case: Case, values: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) poses at which the machine really stands when commanded to values (n, axes) in turn, as fast and with dwells as recorded.
+
+    It starts from home anew, and the recording's day with it, as often as the day recorded is over: conditions stay inside those recorded.
+    """
+    out, home, left = [], case.owner.ranges.mean(axis=1), np.asarray(values, float)
+    while len(left):
+        ends = journey(left, home, case.speeds, case.dwell).looked
+        count = max(int(np.searchsorted(ends, case.way.t[-1])), 1)
+        out.append(stood(case.machine, journey(left[:count], home, case.speeds, case.dwell), case.day, case.laws))
+        left = left[count:]
+    return np.concatenate(out)
+
+
+def drive_in_time(case: Case, t: np.ndarray, values: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) poses at which the machine really stands at looked (n,) s, under command rows t (k,) s, values (k, axes) that begin the day."""
+    return stood(case.machine, Journey(t, values, looked), case.day, case.laws)
+

@@ -1,0 +1,92 @@
+"""A case's recording as a folder: rig.toml as the owner believes the machine to be, and the tables of what was commanded and seen."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from tests.truth.case import Case
+from tests.truth.draw_faults import LEAD
+from tests.truth.kinematics import Arm, Chain, Hinge, Machine, SixStruts
+from tests.truth.motion import EVERY
+from tests.truth.rigid import rows_of
+
+UPPER = [f"c{i}{j}" for i in range(6) for j in range(i, 6)]
+
+
+def record(case: Case, folder: str | Path) -> Path:
+    """Write a case's recording into a new folder, and return it. Raises FileExistsError where there is one."""
+    folder = Path(folder)
+    folder.mkdir(parents=True)
+    (folder / "rig.toml").write_text(rig_toml(case))
+    table(folder / "commands.csv", ("t", *case.owner.names), np.column_stack([case.way.t, case.way.values]))
+    frames = np.arange(len(case.way.looked))
+    (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{k},{t:.9f},,\n" for k, t in zip(frames, case.way.looked)))
+    square = np.diag(np.repeat(np.square(case.sigma), 3))[np.triu_indices(6)]
+    rows = ["frame,x,y,z,rx,ry,rz," + ",".join(UPPER)]
+    rows += [",".join([str(k), *(f"{x:.12g}" for x in (*pose, *square))]) for k, pose in zip(frames, case.seen)]
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    if case.logged:
+        write_sensors(case, folder / "sensors.csv", float(case.way.t[-1]))
+    return folder
+
+
+def write_sensors(case: Case, path: Path, last: float) -> None:
+    """Write what the sensors logged from 0 to last s: the channels that the case keeps. A change of payload is a step within 1 ms."""
+    t = np.arange(0.0, last + EVERY, EVERY)
+    if case.logged == "payload":
+        changes = case.day.loads[1:, 0]
+        t = np.union1d(t, np.concatenate([changes - 1e-3, changes]))
+        table(path, ("t", "payload_mass_kg"), np.column_stack([t, case.day.load_at(t)]))
+        return
+    names = ["ambient_temperature_C", *(f"strut{i + 1}_temperature_C" for i in range(case.owner.width) if case.kind in ("hexapod", "planar2"))]
+    columns = [case.day.room_at(t), *(case.day.axes_at(t).T if len(names) > 1 else [])]
+    table(path, ("t", *names), np.column_stack([t, *columns]))
+
+
+def write_wanted(poses: np.ndarray, path: Path, t: np.ndarray | None = None) -> None:
+    """Write poses (n, 4, 4) as a table of wanted poses, with times (n,) s where they are given."""
+    rows = np.column_stack([np.arange(len(poses)), *([] if t is None else [t]), rows_of(poses)])
+    table(path, ("frame", *([] if t is None else ["t"]), "x", "y", "z", "rx", "ry", "rz"), rows)
+
+
+def table(path: Path, names: Iterable[str], rows: np.ndarray) -> None:
+    """Write rows (n, columns) below names as CSV, 12 digits; a column named frame as whole numbers."""
+    names = list(names)
+    text = [",".join(names)]
+    text += [",".join(str(int(x)) if name == "frame" else f"{x:.12g}" for name, x in zip(names, row)) for row in rows]
+    path.write_text("\n".join(text) + "\n")
+
+
+def rig_toml(case: Case) -> str:
+    """Text of the owner's rig.toml."""
+    parts = ['schema = "rig/1"', f'name = "truth {case.seed}"', "", "[environment]", "gravity = [0.0, 0.0, -9.80665]", "",
+             *_mechanism(case.owner), "", "[instrument]", 'base = "rig"', 'tool = "rig"', f"position_sigma = {case.sigma[0]!r}",
+             f"rotation_sigma = {case.sigma[1]!r}", "", "[actuator]", f"screw_lead = {LEAD}",
+             'joints = "cardan-cardan"', f"max_speed = {float(case.speeds[0])!r}", ""]
+    if case.kind == "hexapod":
+        parts += ["[platform]", f"mass = {case.mass!r}", f"centre_of_mass = {_list(case.centre)}",
+                  f"payload_centre_of_mass = {_list(case.payload)}", ""]
+    return "\n".join(parts)
+
+
+def _list(values: np.ndarray) -> str:
+    return str(np.asarray(values, float).tolist())
+
+
+def _mechanism(machine: Machine, head: str = "[mechanism]") -> list[str]:
+    if isinstance(machine, SixStruts):
+        return [head, 'kind = "hexapod"', f"base_joints = {_list(machine.base)}", f"platform_joints = {_list(machine.plate)}",
+                f"strut_range = {_list(machine.ranges)}", f"home = {{ position = [0.0, 0.0, {machine.height!r}], rotvec = [0.0, 0.0, 0.0] }}"]
+    if isinstance(machine, Hinge):
+        return [head, 'kind = "planar2"', f"base_joints = {_list(machine.base)}", f"strut_range = {_list(machine.ranges)}"]
+    if isinstance(machine, Arm):
+        rows = ", ".join("[" + ", ".join((['"prismatic"'] if slide else []) + [repr(float(x)) for x in row]) + "]"
+                         for slide, row in zip(machine.slides, machine.rows))
+        return [head, 'kind = "arm"', f"joints = [{rows}]", f"limits = {_list(machine.ranges)}"]
+    if isinstance(machine, Chain):
+        lines = [head, 'kind = "chain"', ""]
+        for stage in machine.stages:
+            lines += [*_mechanism(stage, "[[mechanism.stage]]"), ""]
+        return lines
+    raise TypeError(f"no way to write a {type(machine).__name__}")
