@@ -1,7 +1,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench release clean
+.PHONY: setup demo demo-files docs test test-slow test-bounds fuzz fuzz-wire bench results release clean
 
 setup: .venv/.ready
 
@@ -47,6 +47,9 @@ test-bounds: setup
 
 bench: setup
 	$(BIN)/python -m tests.bench
+
+results: setup
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.bench.results $(BENCH)
 
 release: setup
 	sh .ci/release

@@ -2,36 +2,7 @@
 
 import sys
 
-from tests.bench import (
-    absent,
-    arm_physics,
-    arms,
-    beside,
-    certificate,
-    correction,
-    corners,
-    diagnosis,
-    driving,
-    formula,
-    forward,
-    growing,
-    images,
-    investigate,
-    lens,
-    method,
-    parameters,
-    physics,
-    reach,
-    scale,
-    watch,
-    way,
-)
-
-ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners": corners, "parameters": parameters, "arms": arms,
-       "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
-NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "arm_physics": arm_physics, "method": method,
-         "formula": formula, "images": images, "beside": beside, "watch": watch, "investigate": investigate,
-         "scale": scale}  # minutes: only where they are named
+from tests.bench.named import ALL, NAMED
 
 
 def main() -> None:
