@@ -33,8 +33,9 @@ def page() -> str:
 
 def _section(record: dict[str, Any]) -> str:
     on = record["machine"]
+    versions = ", ".join(f"{name} {number}" for name, number in on["versions"].items())
     made = (f"`{record['command']}`, commit `{record['commit']}`, {record['created'][:10]}, seed {record['seed']}; "
-            f"{on['cores']} cores ({on['processor']}), {on['memory_GiB']} GiB, load {on['load']}; " + ", ".join(f"{name} {number}" for name, number in on["versions"].items()))
+            f"{on['cores']} cores ({on['processor']}), {on['memory_GiB']} GiB, load {on['load']}; {versions}")
     rows = "".join(f"| {_cell(row['figure'])} | {_cell(row['reached'])} | {_cell(row['wanted'])} |\n" for row in record["figures"])
     return f"\n## {record['name']}\n\n{_cell(record['title'])}\n\n| figure | reached | wanted |\n|---|---|---|\n{rows}\n{made}.\n"
 
