@@ -17,9 +17,9 @@ PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "numba")
 
 
 def commit() -> str:
-    """The commit that is run, with "+" where the tree differs from it."""
+    """The commit that is run, with "+" where the tree, but for the kept results, differs from it."""
     head = _git("rev-parse", "--short=12", "HEAD")
-    return head + ("+" if _git("status", "--porcelain", "--untracked-files=no") else "")
+    return head + ("+" if _git("status", "--porcelain", "--untracked-files=no", ":!docs/results", ":!docs/results.md") else "")
 
 
 def _git(*words: str) -> str:
