@@ -5,13 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 
 PROTOCOLS = ("grblhal", "gcs", "linuxcnc", "struts")
+SHOWN = 80  # characters of a port's name that a message repeats
+SCHEMES = ("socket", "rfc2217", "loop")  # of ports that are no device; pyserial knows others, which write files or search for devices
+
+
+def port_problem(port: str) -> str | None:
+    """What is wrong with a port's name, in words, or None: it is a device (/dev/ttyUSB0, COM3) or a URL with one of SCHEMES."""
+    scheme, stroke, _ = port.partition("://")
+    if not port.isprintable():
+        return f"{port[:SHOWN]!r} is no port: it holds characters that cannot be printed"
+    if stroke and scheme.lower() not in SCHEMES:
+        return f"{port[:SHOWN]!r} is no port: it is a device (/dev/ttyUSB0, COM3) or " + ", ".join(f"{name}://.." for name in SCHEMES)
+    return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Controller:
     """What drives the axes.
 
-    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL that pyserial opens; usb : serial number or
+    protocol : one of PROTOCOLS; baudrate : bits per second; port : device, or URL socket://, rfc2217://, loop://; usb : serial number or
     hardware id by which to find the port again, or ""; axes : the controller's names of the axes, in the mechanism's order, () for the
     protocol's own
     homing : whether the controller can home; without, the position that it reads at the start is believed

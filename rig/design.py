@@ -64,8 +64,8 @@ class MeasuringLimbs:
 
 @dataclass(frozen=True, slots=True)
 class SensorPort:
-    """Where sensors beside the struts are read. port : as pyserial opens it; baudrate : bits per second; ask : line that makes them answer, ""
-    where they send by themselves; channels : names as in sensors.csv, in the order of the numbers in a line"""
+    """Where sensors beside the struts are read. port : device, or URL socket://, rfc2217://; baudrate : bits per second
+    ask : line that makes them answer, "" where they send by themselves; channels : names as in sensors.csv, in the order of the numbers in a line"""
 
     port: str
     baudrate: int

@@ -5,11 +5,12 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rig import arm_entries, camera_entries, cube_entries
-from rig.controller import PROTOCOLS, Controller
+from rig.controller import PROTOCOLS, Controller, port_problem
 from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
                         Planar2, Platform, Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
@@ -142,7 +143,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
     return Controller(
-        table.text("protocol", PROTOCOLS), table.text("port", default=""), table.whole("baudrate", 1, default=115200),
+        table.text("protocol", PROTOCOLS), _port(table, default=""), table.whole("baudrate", 1, default=115200),
         table.text("usb", default=""), tuple(axes), homing, table.each("zero", n, 0.0, least=-LARGEST_RIG, most=LARGEST_RIG, unit="m"),
         home, speed, table.each("max_acceleration", n, None, above=0, most=1000, unit="m/s^2"),
         table.number("tolerance", default=1e-5, above=0, most=0.01, unit="m"), step, table.number("margin", default=0.1, least=0, most=1),
@@ -151,13 +152,20 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
         table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
 
 
+def _port(table: Entries, default: Any = REQUIRED) -> str:
+    port: str = table.text("port", default=default)
+    if problem := port_problem(port):
+        table.fail(f"{table.name('port')}: {problem}", "port", value=port)
+    return port
+
+
 def _sensors(table: Entries) -> SensorPort:
     table.refuse_misspelt([field.name for field in fields(SensorPort)])
     channels = table.get("channels")
     if not isinstance(channels, list) or not channels or not all(isinstance(name, str) and name.isidentifier() for name in channels) or (
             len(set(channels)) != len(channels) or "t" in channels):
         table.fail(f"{table.name('channels')} must list different names of channels, got {channels!r}", "channels", value=channels)
-    return SensorPort(table.text("port"), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
+    return SensorPort(_port(table), table.whole("baudrate", 1, default=115200), table.text("ask", default=""), tuple(channels))
 
 
 def _platform(table: Entries) -> Platform:

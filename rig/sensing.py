@@ -1,4 +1,4 @@
-"""Sensors beside the struts (thermometers, measuring limbs): a line of numbers for each look, from a port as pyserial opens it."""
+"""Sensors beside the struts (thermometers, measuring limbs): a line of numbers for each look, from a port."""
 
 from collections.abc import Callable
 

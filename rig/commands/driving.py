@@ -9,6 +9,7 @@ import numpy as np
 
 from rig import design_file
 from rig.clock import Clock, SystemClock
+from rig.controller import port_problem
 from rig.design import Design
 from rig.driver import Driver, Status
 from rig.errors import FileError, RigError
@@ -20,6 +21,8 @@ def design_of(path: Path, port: str | None) -> Design:
     design = design_file.load(path)
     if design.controller is None:
         raise RigError(f"{path} has no [controller], so there is nothing to drive: state its protocol and port there")
+    if port and (problem := port_problem(port)):
+        raise RigError(f"--port {problem}")
     return replace(design, controller=replace(design.controller, port=port, usb="")) if port else design
 
 
@@ -31,7 +34,7 @@ def driving(design: Design, trace: Path | None, say: Callable[[str], None], cloc
     Raises FileError for a trace that cannot be written, and what opening raises."""
     c = design.driver()
     with ExitStack() as stack:
-        stack.enter_context(Occupied(c.usb or c.port))
+        stack.enter_context(Occupied(c.port, c.usb))
         file = None
         if trace is not None:
             try:

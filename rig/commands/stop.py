@@ -19,7 +19,7 @@ def run(arguments: Namespace) -> None:
     from rig.occupied import interrupt
 
     design = design_of(arguments.design, arguments.port)
-    other = interrupt(design.driver().usb or design.driver().port, SystemClock(), PATIENCE)
+    other = interrupt(design.driver().port, SystemClock(), PATIENCE, design.driver().usb)
     if other is not None:
         print(f"process {other}, which drove them, was stopped")
     with driving(design, arguments.trace, print, stopping=True) as driver:
