@@ -92,6 +92,19 @@ def test_a_moved_camera_is_said_noted_and_stops_where_that_was_asked_for(design,
     assert shown.views[-1].frame == 6 and 0 < max(view.left for view in shown.views if view.left == view.left) < 60
 
 
+class Failing(Shown):
+    def show(self, view):
+        super().show(view)
+        raise RuntimeError("too many open files")
+
+
+def test_a_display_that_fails_costs_itself_alone_and_is_reported(design, capsys):
+    shown, failing = Shown(), Failing()
+    looking, halts, notes = looked(design, frozenset(), [failing, shown])
+    assert len(failing.views) == 1 and shown.views[-1].frame == 6 and shown.closed and not halts and not looking.stop()
+    assert "Failing no longer shows the run, which goes on: RuntimeError('too many open files')" in notes[0] and notes[0] in capsys.readouterr().err
+
+
 class Told:
     """In place of Live: vision's poses as they truly are, and which frames it looked at."""
 

@@ -1,8 +1,10 @@
 """Who looks on while a run goes: every frame measured and learnt from as it comes, what is wrong said at once, and shown to displays."""
 
 import queue
+import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -144,8 +146,18 @@ class Looking:
         """Show what has changed of the view."""
         with self._lock:
             self.view = replace(self.view, **changes)
-            for display in self.displays:
-                display.show(self.view)
+            for display in tuple(self.displays):
+                try:
+                    display.show(self.view)
+                except Exception as error:  # of a display, whatever it is: the run goes on without that one, and reports it
+                    self.displays.remove(display)
+                    self._report_lost(display, error)
+
+    def _report_lost(self, display: Display, error: Exception) -> None:
+        text = f"{type(display).__name__} no longer shows the run, which goes on: {error!r}"
+        self.note(text)
+        with suppress(OSError):  # where that cannot be printed either the journal alone has it
+            print(text, file=sys.stderr)
 
     def warn(self, alarm: Alarm) -> None:
         """Say what is wrong, and stop the run where that was asked for."""

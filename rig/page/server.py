@@ -7,9 +7,12 @@ fixed few. See docs/operating.md for what that guards against.
 import hmac
 import json
 import secrets
+import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -30,6 +33,10 @@ HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Re
 ALIVE = 10.0  # s between signs of life on a line without events
 LAST = 1.0  # s that browsers have to take the last event
 LINES = 16  # browsers that may listen at a time
+STRANGERS = 16  # connections at a time of which the token is not known yet; one more closes the oldest of them
+MOST_FIELDS = 8  # of a query
+KNOWN = 64  # connections at a time whose token was right
+HEADERS_WITHIN = 3.0  # s that a connection has to send its first request
 
 
 class PageServer:
@@ -107,13 +114,61 @@ class PageServer:
 
 
 class _Server(ThreadingHTTPServer):
+    """Connections are counted from their first byte, as each takes a file and a thread of the run's own process.
+
+    strangers : {connection: s on the monotonic clock when it came}, the oldest first; known : connections whose token was right
+    """
+
     daemon_threads = True
+    request_queue_size = 64
     page: PageServer
 
+    def __init__(self, *arguments: Any) -> None:
+        self.counting, self.strangers, self.known = threading.Lock(), dict[socket.socket, float](), set[socket.socket]()
+        super().__init__(*arguments)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread of its own, and close the oldest one without a token where there are too many."""
+        with self.counting:
+            self.strangers[request] = time.monotonic()
+            oldest = next(iter(self.strangers)) if len(self.strangers) > STRANGERS else None
+            if oldest is not None:
+                self._part(oldest)
+        super().process_request(request, client_address)
+
+    def service_actions(self) -> None:
+        """Close connections that sent no request in time."""
+        with self.counting:
+            late = time.monotonic() - HEADERS_WITHIN
+            for request in [request for request, came in self.strangers.items() if came < late]:
+                self._part(request)
+
+    def admit(self, request: socket.socket) -> bool:
+        """Count a connection whose token was right; False where there are too many of them."""
+        with self.counting:
+            if request not in self.known and len(self.known) >= KNOWN:
+                return False
+            if self.strangers.pop(request, None) is not None:
+                self.known.add(request)
+            return True
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection, which no longer counts."""
+        with self.counting:
+            self.strangers.pop(request, None)
+            self.known.discard(request)
+        super().shutdown_request(request)
+
+    def _part(self, request: socket.socket) -> None:
+        """Have a connection's thread come to its end, which closes it."""
+        del self.strangers[request]
+        with suppress(OSError):  # it is closed already
+            request.shutdown(socket.SHUT_RDWR)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is no error of the run's; a mistake of ours is told, and costs the page alone."""
+        """A browser that went away is no error of the run's; a mistake of ours is reported, and costs the page alone."""
         if not isinstance(sys.exception(), OSError):
-            super().handle_error(request, client_address)
+            print(f"the run's page: {sys.exception()!r}; the run goes on", file=sys.stderr)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -158,8 +213,12 @@ class _Handler(BaseHTTPRequestHandler):
         """(path, query) of a request that may be answered; None where it was refused."""
         page, port = self.server.page, self.server.page.port
         here = (f"{HOST}:{port}", f"localhost:{port}")
-        url = urlsplit(self.path)
-        query = parse_qs(url.query)
+        try:
+            url = urlsplit(self.path)
+            query = parse_qs(url.query, max_num_fields=MOST_FIELDS)
+        except ValueError:  # no URL, or more fields than any of ours has
+            self._refuse(HTTPStatus.FORBIDDEN, "that is no request for this page")
+            return None
         origin = self.headers.get("Origin")
         if self.client_address[0] != HOST:
             reason = "only this computer"
@@ -173,6 +232,9 @@ class _Handler(BaseHTTPRequestHandler):
             reason = "the token is missing or wrong; use the address that `rig run --page` printed"
         elif url.scheme or url.netloc or self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
             reason = "that is no request for this page"
+        elif not self.server.admit(self.connection):
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections")
+            return None
         else:
             return url.path, query
         self._refuse(HTTPStatus.FORBIDDEN, reason)

@@ -2,14 +2,18 @@
 
 import http.client
 import json
+import os
+import select
 import shutil
 import socket
 import subprocess
+import sys
 import time
 
 import pytest
 
-from rig.page.server import PageServer
+from rig.page import server
+from rig.page.server import STRANGERS, PageServer
 
 EVENT = {"phase": "moving to step 3", "frame": 2, "frames": 9, "step": 3, "steps": 10, "left": 75.0, "ended": None,
          "struts": [{"low": 400.0, "high": 500.0, "at": 450.0, "goal": 460.5}] * 6,
@@ -24,10 +28,10 @@ EVENT = {"phase": "moving to step 3", "frame": 2, "frames": 9, "step": 3, "steps
 @pytest.fixture
 def page():
     pressed = []
-    server = PageServer(lambda: pressed.append(True))
-    server.presses = pressed
-    yield server
-    server.close()
+    made = PageServer(lambda: pressed.append(True))
+    made.presses = pressed
+    yield made
+    made.close()
 
 
 def ask(page, path, method="GET", host=None, token=True, headers=()):
@@ -121,9 +125,9 @@ def test_events_come_as_they_are_shown_and_end_with_the_run(page):
         rest = lines.read()
     assert b"event: end" in rest
     page.close = lambda: None
-    server = PageServer(lambda: None)
-    assert [server.take_line(+1) for _ in range(17)].count(False) == 1
-    server.close()
+    made = PageServer(lambda: None)
+    assert [made.take_line(+1) for _ in range(17)].count(False) == 1
+    made.close()
 
 
 def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):
@@ -140,6 +144,55 @@ def test_nothing_is_drawn_that_nobody_looks_at_and_once_for_all_who_do(page):
     assert {page.image("cam0") for _ in range(3)} == {b"jpeg"} and told == [1]
     page.show(event)
     assert page.listen(5, 0)[1] == b'{"phase": 2}' and page.image("cam0") == b"jpeg"
+
+
+def test_strangers_neither_use_up_files_nor_shut_out_who_has_the_token(page):
+    flood = ("import socket, sys\nopen_ones = []\n"
+             "for k in range(200):\n"
+             "    one = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
+             "    one.sendall(b'GET / HTTP/1.1\\r\\n' + (b'', b'Host: x\\r\\n\\r\\n')[k % 2])\n"
+             "    open_ones.append(one)\n"
+             "print('done', flush=True)\nsys.stdin.read()\n")
+    page.show(lambda: EVENT, {"cam0": lambda: b"jpeg"})
+    before = len(os.listdir("/proc/self/fd"))
+    with subprocess.Popen([sys.executable, "-c", flood, str(page.port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        answered, most = 0, 0
+        while process.stdout not in select.select([process.stdout], [], [], 0)[0]:
+            assert ask(page, "/")[0] == ask(page, "/image?camera=cam0")[0] == 200
+            answered, most = answered + 1, max(most, len(os.listdir("/proc/self/fd")))
+        assert answered and most - before <= STRANGERS + 12, "those at work on their end are a few more"
+        assert len(page._server.strangers) <= STRANGERS
+        assert ask(page, "/")[0] == 200
+        process.communicate(b"")
+
+
+def test_who_sends_no_request_in_time_is_parted_with(page, monkeypatch):
+    monkeypatch.setattr(server, "HEADERS_WITHIN", 0.2)
+    slow = socket.create_connection(("127.0.0.1", page.port), timeout=20)
+    slow.sendall(b"GET / HTTP/1.1\r\nHost: ")
+    assert slow.recv(1) == b"" and not page._server.strangers
+    slow.close()
+
+
+def test_so_many_with_the_token_and_no_more(page, monkeypatch):
+    monkeypatch.setattr(server, "KNOWN", 2)
+    page.show(lambda: EVENT)
+    request = f"GET /page.js?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode()
+    lasting = [socket.create_connection(("127.0.0.1", page.port), timeout=20) for _ in range(2)]
+    for one in lasting:
+        one.sendall(request)
+        assert one.recv(12) == b"HTTP/1.1 200"
+    assert ask(page, "/")[0] == 503
+    for one in lasting:
+        one.close()
+    while page._server.known:
+        time.sleep(0.001)
+    assert ask(page, "/")[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/?" + "a=1&" * 50, "//[/", "/?token=" + "x" * 5000, "/" + "%00" * 50])
+def test_addresses_that_are_none_are_refused_in_words(page, path):
+    assert ask(page, path, token=False)[0] in (400, 403)
 
 
 @pytest.mark.slow
