@@ -2,15 +2,14 @@
 
 With confidence c at least a share p of a population lies below the r-th smallest of n independent values once
 P(Bin(n, p) <= r - 1) >= c; nothing is assumed of the distribution but that the sample was drawn from it. Between two ranks the limit is
-interpolated (fractional order statistics), so that the confidence is met and not overshot.
-Sources: Wilks, Ann. Math. Statist. 12, 1941; Hutson, J. Appl. Statist. 26, 1999 (fractional order statistics).
+interpolated by the chance that the quantile lies on either side, so that the confidence is met and not overshot.
+Sources: Wilks, Ann. Math. Statist. 12, 1941; Nyblom, Statistics and Probability Letters 14, 1992 (interpolated order statistics).
 docs/mathematics.md (24)
 """
 
 from math import ceil, floor, log
 
 import numpy as np
-import scipy
 from scipy.special import betainc, xlogy
 
 from rig.errors import NotEnoughData
@@ -40,25 +39,30 @@ def enough(n: int, coverage: float, confidence: float, what: str = "distinct con
 
 
 def beyond(n: int, coverage: float, confidence: float) -> float:
-    """How many (real) of n values lie beyond the upper limit: k with P(Bin(n, 1 - coverage) <= k) = 1 - confidence, at least 0.
-
-    Raises NotEnoughData for fewer than `smallest`
-    """
+    """How many (real) of n values lie beyond the upper limit, at least 0. Raises NotEnoughData for fewer than `smallest`"""
     enough(n, coverage, confidence)
-
-    def chance(k: float) -> float:
-        return float(betainc(n - k, k + 1, coverage)) - (1 - confidence)
-
-    return 0.0 if chance(0.0) >= 0 else float(scipy.optimize.brentq(chance, 0.0, n - 1.0, xtol=1e-10))
+    return n - min(rank(n, coverage, 1 - confidence), float(n))
 
 
 def within(n: int, coverage: float, confidence: float) -> float | None:
-    """How many (real) of n values lie beyond the lower limit: k with P(Bin(n, 1 - coverage) >= k) = 1 - confidence; None where n is too
-    small for any."""
-    def chance(k: float) -> float:
-        return float(betainc(k, n - k + 1, 1 - coverage)) - (1 - confidence)
+    """How many (real) of n values lie at the lower limit or beyond; None where n is too small for any."""
+    found = rank(n, coverage, confidence)
+    return None if found < 1 else n + 1 - found
 
-    return None if chance(float(n)) > 0 else float(scipy.optimize.brentq(chance, 1e-9, float(n), xtol=1e-10))
+
+def rank(n: int, coverage: float, chance: float) -> float:
+    """Real rank r, from 1 to n, of n values, so that with `chance` the value there lies below the `coverage` quantile; 0 where even the least does
+    with less.
+
+    Near the quantile the gaps to its neighbours X_r and X_(r+1) are as good as exponential, at the rates r / p and (n - r) / (1 - p)
+    """
+    ranks = np.arange(n + 1)
+    below = np.append(1.0, betainc(ranks[1:], n - ranks[1:] + 1, coverage))  # chance that X_r lies below the quantile
+    r = int(np.flatnonzero(below >= chance)[-1])
+    if r in (0, n):
+        return float(r)
+    odds = (chance - below[r + 1]) / max(below[r] - chance, 1e-300)
+    return r + 1 / (1 + odds * r * (1 - coverage) / ((n - r) * coverage))
 
 
 def upper(values: np.ndarray, coverage: float = 0.95, confidence: float = 0.95) -> float:

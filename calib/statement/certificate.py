@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from calib.certify import conformity, tolerance_limits
-from calib.certify.budget import Budget, budget, thermometer
+from calib.certify.budget import Budget, budget, rms, thermometer
 from calib.certify.calibration import Calibration
 from calib.certify.conformity import Conformity
 from calib.certify.held_out import Figures, errors_of, figures
 from calib.certify.held_poses import HeldPoses, held_poses
-from calib.certify.promise import Bound, Cell, Promise, cells, promised
+from calib.certify.promise import POSITION, ROTATION, Cell, Promise, Unit, cells, depth_bound, promised
 from calib.certify.repeats import Iso9283, Repeatability, iso9283, repeatability
 from calib.certify.reversal import AxisTest, iso230
 from calib.confounds import Confounds, of_recordings
@@ -75,14 +75,15 @@ def certified(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]
     Raises NotEnoughData where these have too few configurations at rest
     """
     poses = together(calibration, held)
-    promise = promised(poses, asked.coverage, asked.confidence, asked.scale or 0.0, rng)
+    units, scale = _units(calibration, poses), asked.scale or 0.0
+    promise = promised(poses, asked.coverage, asked.confidence, scale, units, rng)
     again = repeatability(poses)
     at = poses.first
-    return Certificate(calibration.correction.nominal.kind, asked, promise, cells(poses, asked.coverage, asked.confidence, asked.scale or 0.0, rng),
+    contributions = budget(poses, _model(calibration, poses), again, [(s.samples, s.measurement) for _, s in held], asked.scale,
+                           thermometer(calibration, [(recording, s.samples) for recording, s in held]))
+    return Certificate(calibration.correction.nominal.kind, asked, promise, cells(poses, asked.coverage, asked.confidence, scale, units, rng),
                        volume(poses, calibration.correction.nominal), again, iso9283(poses), iso230(calibration.correction, poses),
-                       _judged(poses, asked, rng), budget(poses, _model(calibration, poses), again,
-                                                          [(s.samples, s.measurement) for _, s in held], asked.scale,
-                              thermometer(calibration, [(recording, s.samples) for recording, s in held])),
+                       _judged(poses, asked, rng), contributions,
                        conditions(poses, [recording for recording, _ in held], [s.source for _, s in held]),
                        poses.errors[at], figures(poses.plain[at]), figures(poses.errors[at]), provenance,
                        of_recordings([recording for recording, _ in held]))
@@ -105,19 +106,23 @@ def _model(calibration: Calibration, poses: HeldPoses) -> np.ndarray:
     return pose_covariance(geometry, poses.T_base_platform, poses.commanded)
 
 
+def _units(calibration: Calibration, poses: HeldPoses) -> tuple[float, float]:
+    """(m, rad) in which errors count for a pose's depth: RMS errors of the poses that the calibration itself held out, or, of one that held out
+    none, what its parameters and measuring lead to expect. Neither has seen an error of `poses`."""
+    if calibration.held_out is not None:
+        after = calibration.held_out.after
+        if after.position[0] > 0 and after.rotation[0] > 0:
+            return after.position[0], after.rotation[0]
+    return rms(pose_covariance(calibration, poses.T_base_platform, poses.commanded) + poses.own)
+
+
 def _judged(poses: HeldPoses, asked: Asked, rng: np.random.Generator) -> tuple[Conformity, ...]:
     if not asked.tolerances:
         return ()
-    try:
-        tolerance_limits.enough(len(poses.first), asked.coverage, conformity.GUARD)
-    except NotEnoughData:
-        return tuple(Conformity(name, value, float("nan"), 0.0, float("inf"), float("inf"), conformity.OPEN) for name, value in asked.tolerances)
-    guarded = promised(poses, asked.coverage, conformity.GUARD, asked.scale or 0.0, rng)
-    bounds: dict[str, Bound | None] = {"position": guarded.position, "rotation": guarded.rotation}
-    out = []
-    for name, value in asked.tolerances:
-        bound = bounds[name]
-        if bound is None:
-            raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
-        out.append(conformity.judged(name, value, bound))
-    return tuple(out)
+    if not poses.rotations and any(quantity == "rotation" for quantity, _ in asked.tolerances):
+        raise NotEnoughData("no rotation was measured, so none can be held against a tolerance")
+    units = tuple(Unit(POSITION if quantity == "position" else ROTATION, size) for quantity, size in asked.tolerances)
+    enough = len(poses.first) >= tolerance_limits.smallest(asked.coverage, conformity.GUARD)
+    depth = depth_bound(poses, poses.first, units, (asked.coverage, conformity.GUARD), asked.scale or 0.0, rng) if enough else None
+    beyond = [int((np.linalg.norm(poses.errors[poses.first][:, unit.of], axis=1) > unit.size).sum()) for unit in units]
+    return conformity.judged(asked.tolerances, depth, asked.scale is not None, beyond)

@@ -99,13 +99,14 @@ def _statements(part: ET.Element, c: Certificate) -> None:
     _content(scale, "name", "scale")
     _sub(scale, "traceable", "false")
     _content(scale, "declaration", words.scale_line(c))
-    for line, judged in zip(words.conformity_lines(c), c.conformity):
+    if c.conformity:
         found = _sub(part, "statement")
-        _content(found, "name", f"conformity of {judged.quantity}")
+        _content(found, "name", " and ".join(f"conformity of {k.quantity}" for k in c.conformity))
         _sub(found, "norm", "JCGM 106:2012")
-        _content(found, "declaration", line)
-        if judged.verdict != OPEN:
-            _sub(found, "conformity", "pass" if judged.verdict == CONFORMS else "fail")
+        _content(found, "declaration", *words.conformity_lines(c))
+        verdict = c.conformity[0].verdict
+        if verdict != OPEN:
+            _sub(found, "conformity", "pass" if verdict == CONFORMS else "fail")
 
 
 def _result(part: ET.Element, c: Certificate) -> None:

@@ -49,7 +49,8 @@ def _against(c: Certificate) -> list[str]:
     if not c.conformity:
         return []
     return [heading("Against the tolerance"), *map(paragraph, words.conformity_lines(c)),
-            note("A decision takes limits of 97.5 % confidence (guard bands, JCGM 106): either is wrong in 2.5 % of cases at the most.")]
+            note("One decision is made of all tolerances, from limits of 97.5 % confidence (guard bands, JCGM 106): it is wrong in 2.5 % of "
+                 "cases at the most. A position is accepted only where the scale is certified.")]
 
 
 def _cells(c: Certificate) -> list[str]:
@@ -57,7 +58,8 @@ def _cells(c: Certificate) -> list[str]:
         return []
     rows = [(*(f"{low * 1e3:.0f} to {high * 1e3:.0f}" for low, high in zip(cell.low, cell.high)), f"{cell.promise.position.upper * 1e6:.1f}",
              "" if cell.promise.rotation is None else f"{cell.promise.rotation.upper * 1e6:.1f}", cell.promise.n) for cell in c.cells]
-    return [heading("Part by part"), note("The same promise for boxes of the volume, each by its own poses."), svg.cells(c),
+    return [heading("Part by part"), svg.cells(c),
+            note("The same promise for boxes of the volume, each by its own poses and with the stated confidence by itself."),
             table(("x, mm", "y, mm", "z, mm", "position, um", "rotation, urad", "N"), rows)]
 
 

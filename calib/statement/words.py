@@ -37,9 +37,8 @@ def _far(c: Certificate) -> float:
 def promise_line(c: Certificate) -> str:
     """What is promised."""
     p = c.promise
-    rotation = "" if p.rotation is None else f" and {urad(p.rotation.upper)}"
-    return (f"With {share(p.confidence)} confidence, {share(p.coverage)} of poses in this volume lie within {um(p.position.upper)}{rotation} "
-            f"of where they should be.")
+    both = um(p.position.upper) if p.rotation is None else f"both {um(p.position.upper)} and {urad(p.rotation.upper)}"
+    return f"With {share(p.confidence)} confidence, {share(p.coverage)} of poses in this volume lie within {both} of where they should be."
 
 
 def volume_line(c: Certificate) -> str:
@@ -87,20 +86,31 @@ def _median(c: Certificate) -> float:
 
 
 def conformity_lines(c: Certificate) -> list[str]:
-    """One sentence for each tolerance."""
-    out = []
-    for k in c.conformity:
-        say = um if k.quantity == "position" else urad
-        if k.verdict == CONFORMS:
-            why = f"even the upper limit, {say(k.upper)}, is within it"
-        elif k.verdict == FAILS:
-            why = f"even the lower limit, {say(k.lower)}, is beyond it"
-        elif k.estimate != k.estimate:
-            why = "too few configurations for a decision that is wrong in 2.5 % of cases at the most"
-        else:
-            why = f"it lies between the limits {say(k.lower)} and {say(k.upper)}"
-        out.append(f"{k.quantity.capitalize()} within {say(k.tolerance)} for {share(c.asked.coverage)} of poses: {k.verdict}; {why}.")
-    return out
+    """One sentence for the tolerances, and what each alone shows where there are two."""
+    if not c.conformity:
+        return []
+    first = c.conformity[0]
+    sizes = {k.quantity: (um if k.quantity == "position" else urad) for k in c.conformity}
+    if first.estimate != first.estimate:
+        why = "too few configurations for a decision that is wrong in 2.5 % of cases at the most"
+    elif first.verdict == CONFORMS:
+        why = f"even the upper limit, {_each(c, 'upper')}, is within it"
+    elif first.verdict == FAILS:
+        why = f"even the lower limit, {_each(c, 'lower')}, is beyond it"
+    elif first.given_scale == CONFORMS:
+        why = (f"nobody certified the scale; if {c.conditions.frame} hold, it conforms, as even the upper limit, {_each(c, 'upper')}, is within it")
+    else:
+        why = f"it lies between the limits {_each(c, 'lower')} and {_each(c, 'upper')}"
+    both = " and ".join(f"{k.quantity} within {sizes[k.quantity](k.tolerance)}" for k in c.conformity)
+    lines = [f"{both[0].upper()}{both[1:]} for {share(c.asked.coverage)} of poses: {first.verdict}; {why}."]
+    if len(c.conformity) > 1:
+        counts = ", ".join(f"{k.beyond} lie beyond the tolerance of {k.quantity}" for k in c.conformity)
+        lines.append(f"Of the {c.promise.n} held-out poses as measured, {counts}.")
+    return lines
+
+
+def _each(c: Certificate, limit: str) -> str:
+    return " with ".join((um if k.quantity == "position" else urad)(getattr(k, limit)) for k in c.conformity)
 
 
 def iso9283_line(c: Certificate) -> str:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import beta, binom
+from scipy.stats import binom
 
 from calib.certify import tolerance_limits, true_errors
 from rig.errors import NotEnoughData
@@ -73,6 +73,16 @@ def test_errors_smaller_than_their_stated_noise_promise_no_nothing():
     assert twice == pytest.approx(stated, rel=0.1) and twice > 0
 
 
-def test_the_interpolated_rank_is_that_of_the_beta_distribution():
-    k = tolerance_limits.beyond(150, 0.95, 0.95)
-    assert beta.cdf(0.95, 150 - k, k + 1) == pytest.approx(0.05, abs=1e-8)
+@pytest.mark.parametrize("level", [(0.95, 0.95), (0.9, 0.9)])
+@pytest.mark.parametrize("n", [59, 75, 93, 120])
+def test_between_ranks_the_confidence_is_met_in_tails_light_and_heavy(n, level):
+    rng = np.random.default_rng(n)
+    for draw, quantile in ((rng.random, level[0]), (rng.standard_exponential, -np.log(1 - level[0]))):
+        values = draw((4000, n))
+        found = np.mean([tolerance_limits.upper(row, *level) >= quantile for row in values])
+        assert found == pytest.approx(level[1], abs=0.015)
+
+
+def test_at_whole_ranks_nothing_is_interpolated():
+    chance = binom.sf(140 - 1, 150, 0.95)  # that the 140th of 150 lies below the quantile
+    assert tolerance_limits.rank(150, 0.95, chance) == pytest.approx(140, abs=1e-6)

@@ -130,7 +130,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     other = recording.load(held.folder / "other")
     warm = replace(other, sensors=Sensors(np.arange(0.0, 4000, 30), {"ambient_temperature_C": 20 + np.random.default_rng(0).normal(0, 0.1, 134)}))
     samples = sample_recording(other)
-    plain = promised(together(known, [(other, samples)]), 0.95, 0.95, 0.0, np.random.default_rng(0)).position
+    plain = promised(together(known, [(other, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
     design, effects = held.secret.true, tuple(map(parse, (f"backlash:strut3:gap={GAP}", "base_expansion:rig:coefficient=12e-6")))
     count = len(coordinates_of(effects))
     physics = Physics(effects, np.zeros((count, count)), np.zeros((42, count)), design.gravity, design.actuator, design.platform,
@@ -138,7 +138,7 @@ def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     wiser, fit = replace(known, physics=physics), recording.load(held.folder / "fit")
     refined, _ = calibrate(wiser.told(fit, sample_recording(fit).samples), known.correction.nominal, "none")
     wiser = replace(wiser, correction=refined)
-    better = promised(together(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, np.random.default_rng(0)).position
+    better = promised(together(wiser, [(warm, samples)]), 0.95, 0.95, 0.0, (1e-5, 1e-4), np.random.default_rng(0)).position
     assert better.upper < 0.75 * plain.upper
     assert thermometer(known, [(warm, samples.samples)]) is None
     added = thermometer(wiser, [(warm, samples.samples)])

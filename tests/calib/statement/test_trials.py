@@ -1,4 +1,4 @@
-"""The promise is kept on fresh rigs, and guarded decisions are right."""
+"""The promise is kept on fresh rigs by position and rotation at once, and guarded decisions are right."""
 
 import numpy as np
 import pytest
@@ -18,17 +18,37 @@ def test_a_few_rigs_keep_what_is_promised(design):
             assert t.promise[0] < 2 * t.true[0]
 
 
+def decided(upper, lower, tolerances=(("position", 10.0), ("rotation", 2.0)), certified=True):
+    found = judged(tolerances, Bound(1.0, lower, upper, 1.4, 0.0, 0.0), certified, (0,) * len(tolerances))
+    assert len({k.verdict for k in found}) == 1, "there is one decision"
+    return found[0]
+
+
 def test_decisions_keep_a_guard_band():
-    bound = Bound(10.0, 8.0, 13.0, 14.0, 0.0, 0.0)
-    assert [judged("position", value, bound).verdict for value in (13.1, 12.9, 10.0, 8.1, 7.9)] == [CONFORMS, OPEN, OPEN, OPEN, FAILS]
-    assert judged("position", 1.0, bound).guard == pytest.approx(3.0)
+    found = [decided(upper, lower).verdict for upper, lower in ((0.99, 0.9), (1.01, 0.9), (1.3, 0.8), (1.3, 0.99), (1.3, 1.01))]
+    assert found == [CONFORMS, OPEN, OPEN, OPEN, FAILS]
+    assert decided(1.3, 0.8).guard == pytest.approx(3.0) and decided(1.3, 0.8).upper == pytest.approx(13.0)
+
+
+def test_nothing_is_accepted_in_lengths_that_nobody_certified():
+    found = decided(0.9, 0.7, certified=False)
+    assert (found.verdict, found.given_scale) == (OPEN, CONFORMS)
+    assert decided(1.3, 1.1, certified=False).verdict == FAILS, "what is seen is beyond, whatever is not"
+    assert decided(0.9, 0.7, (("rotation", 2.0),), certified=False).verdict == CONFORMS, "an angle has no scale"
 
 
 @pytest.mark.slow
 def test_three_hundred_rigs(design):
     trials = [trial(design, seed) for seed in range(300)]
-    assert 0.93 <= share_kept(trials) <= 0.99
-    for k in range(2):
-        assert np.mean([t.kept[k] for t in trials]) >= 0.93
-    decided = [t for t in trials if t.verdict[0]]
-    assert wrong_decisions(trials) <= 0.025 * 2 * len(decided)
+    assert share_kept(trials) >= 0.93
+    assert sum(t.verdict in (CONFORMS, FAILS) for t in trials) > 20
+    assert wrong_decisions(trials) <= 0.025 * sum(t.verdict != "" for t in trials)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level, sizes", [((0.95, 0.95), (59, 93, 120)), ((0.9, 0.9), (22, 59, 93))])
+@pytest.mark.parametrize("kinds", [("backlash",), ("hysteresis", "base_expansion")])
+def test_left_out_physics_that_is_seen_sharply(design, kinds, level, sizes):
+    """Where measuring is the smaller part, promises are kept as often as stated and no oftener."""
+    share = np.mean([trial(design, seed, level, sizes, kinds, 0.1).kept for seed in range(300)])
+    assert share == pytest.approx(level[1], abs=0.02 + 2 * np.sqrt(level[1] * (1 - level[1]) / 300))
