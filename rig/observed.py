@@ -97,18 +97,19 @@ def _corner_covariance(rows: Table) -> np.ndarray | None:
     return sigma[:, None, None] ** 2 * np.eye(2)
 
 
-def load_poses(path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False) -> Poses:
+def load_poses(path: str | Path, known_frames: set[int] | None = None, positions_alone: bool = False, commanded: bool = False) -> Poses:
     """Poses of a poses.csv: measured ones, or wanted ones for `rig correct`.
 
     known_frames : set of frame numbers that there are, or None; positions_alone : rotations and covariances, if there are any,
-    mean nothing: the poses are unrotated. Raises FileError with line and column.
+    mean nothing: the poses are unrotated; commanded : a covariance may be 0 in directions in which the machine has no freedom
+    Raises FileError with line and column.
     """
     rows = table.read(path, ("frame", *POSE_COLUMNS[: 3 if positions_alone else 6]), COVARIANCE_COLUMNS)
     frame = _frames(rows, known_frames)
     values = np.zeros((len(rows), 6))
     values[:, : 3 if positions_alone else 6] = rows.matrix(POSE_COLUMNS[: 3 if positions_alone else 6])
     _plausible(rows, values[:, :3], POSE_COLUMNS[:3])
-    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows))
+    return Poses(frame, pose(values[:, :3], values[:, 3:]), None if positions_alone else _pose_covariance(rows, commanded))
 
 
 def load_measured(path: Path, known_frames: set[int], instrument: Instrument | None) -> Poses:
@@ -153,7 +154,7 @@ def _plausible(rows: Table, values: np.ndarray, columns: tuple[str, ...]) -> Non
         rows.fail(f"{columns[j]} = {values[i, j]:g} m is implausible: poses are in metres (millimetres?)", i, columns[j], values[i, j])
 
 
-def _pose_covariance(rows: Table) -> np.ndarray | None:
+def _pose_covariance(rows: Table, commanded: bool) -> np.ndarray | None:
     given = [name for name in COVARIANCE_COLUMNS if name in rows.columns]
     if not given:
         return None
@@ -163,6 +164,8 @@ def _pose_covariance(rows: Table) -> np.ndarray | None:
     covariance = covariance_from_triangle(rows.matrix(COVARIANCE_COLUMNS))
     scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
     whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
+    if commanded:
+        whitened = whitened + np.eye(6) * ~covariance.any(axis=2)[:, None]
     bad = np.flatnonzero(np.linalg.eigvalsh(whitened)[:, 0] <= 0)
     if len(bad):
         rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")

@@ -177,7 +177,7 @@ class Wanted:
 
 def load_wanted(path: str | Path) -> Wanted:
     """Wanted of a table frame,x,y,z,rx,ry,rz with or without a column t. Raises FileError with line and column."""
-    poses, rows = load_poses(path), table.read(path, ("frame",))
+    poses, rows = load_poses(path, commanded=True), table.read(path, ("frame",))
     if "t" not in rows.columns:
         return Wanted(poses, None, Origin())
     origin = _origin(rows)

@@ -75,7 +75,7 @@ class ArmCorrection(Correction[Arm, Profile]):
 
     def goal(self, T_base_platform: RigidTransform, near: np.ndarray) -> np.ndarray:
         """(n, joints) rad or m that the fitted arm has to get for poses (n,), nearest to commands (n, joints). Raises Unreachable as `inverse`"""
-        commands = self.inverse(T_base_platform, near)
+        commands = self.inverse_without_physics(T_base_platform, near)
         return commands - self.rho(commands)
 
     def responses(self, T_base_platform: RigidTransform, effective: np.ndarray) -> Responses:
@@ -97,10 +97,15 @@ class ArmCorrection(Correction[Arm, Profile]):
         guess : (..., joints) rad or m, what is near; by default the nearest visited configurations
         The start is where these lead when the hand goes straight to the pose; what the profiles of the joints add there is made up for by J^+ dPOS,
         iterated.
-        Raises Unreachable with the index of poses that no start leads to
+        Raises RigError where a calibration knows physics besides, Unreachable with the index of poses that no start leads to
         """
+        self._refuse_physics()
+        return self.inverse_without_physics(T_base_platform, guess)
+
+    def inverse_without_physics(self, T_base_platform: RigidTransform, guess: np.ndarray | None = None) -> np.ndarray:
+        """The commands (..., joints) of `inverse` by the configuration alone, whatever else a calibration knows. Raises Unreachable as `inverse`"""
         shape = T_base_platform.shape
-        T = T_base_platform.reshape(-1) if len(shape) != 1 else T_base_platform
+        T = RigidTransform.from_matrix(T_base_platform.as_matrix().reshape(-1, 4, 4))
         n = len(self.nominal.joints)
         starts = self._near(T) if guess is None else np.broadcast_to(guess, (*shape, n)).reshape(-1, n)[:, None]
         if self.deficient:

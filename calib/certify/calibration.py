@@ -1,6 +1,6 @@
 """A calibration as it is kept: what corrects, how well its parameters are known, what it is worth, and where it came from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,11 @@ class Calibration:
     workspace: Workspace | None = None
     confounds: Confounds | None = None
 
+    def __post_init__(self) -> None:
+        if self.physics is not None and self.physics.undone():
+            names = tuple(f"{effect.label()} at {effect.place}" for effect in self.physics.undone())
+            object.__setattr__(self, "correction", replace(self.correction, physics=names))
+
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
         held = self.held_out
@@ -65,6 +70,5 @@ class Calibration:
         """Raise RigError where this holds physics: commands then mean something else at another time, which `what` (a sentence's beginning)
         does not follow."""
         if self.physics is not None and self.physics.undone():
-            names = ", ".join(f"{e.label()} at {e.place}" for e in self.physics.undone())
-            raise RigError(f"{what} takes commands as they are, and this calibration knows physics that changes them ({names}); "
-                           "give one made without --diagnosis and --find")
+            raise RigError(f"{what} takes commands as they are, and this calibration knows physics that changes them "
+                           f"({', '.join(self.correction.physics)}); give one made without --diagnosis and --find")

@@ -48,7 +48,7 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     back = to_pose(T_base_platform, fitted)
     own = np.broadcast_to(calibration.scatter**2, (len(J), len(fitted.axes)))
     if calibration.correction.extension is not None:
-        own = own + calibration.correction.extension.error(calibration.correction.inverse(T_base_platform)) ** 2
+        own = own + calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform)) ** 2
     covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (back * own[:, None]) @ np.swapaxes(back, 1, 2)
     return covariance + calibration.correction.posed_error(T_base_platform)[..., None] ** 2 * np.eye(6)
 

@@ -25,7 +25,7 @@ from calib.samples import Samples
 from rig import mechanisms
 from rig.design import Arm, Chain, Hexapod, Planar2
 from rig.effects.covariate import DRAWN
-from rig.errors import NotConverged, Unreachable
+from rig.errors import NotConverged, RigError, Unreachable
 from rig.kinds import Struts, struts_of
 from rig.parallel import parallel_map
 
@@ -52,6 +52,7 @@ class Correction(Generic[M, R]):
     """nominal : the mechanism as its owner believes it; fitted : its smooth part, nominal itself where no parameters were sought
     remainder : per axis a Radial or Profile, or None; extension : Field of what is left on top over all axes, or None
     posed : PoseMaps of what these leave, the first first, each of what those before it leave
+    physics : names of what a calibration knows besides the configuration: commands by this alone would leave it out, and are refused
     """
 
     nominal: M
@@ -59,6 +60,7 @@ class Correction(Generic[M, R]):
     remainder: tuple[R | None, ...]
     extension: Field | None = field(default=None, kw_only=True)
     posed: tuple[PoseMap, ...] = field(default=(), kw_only=True)
+    physics: tuple[str, ...] = field(default=(), kw_only=True)
 
     def rho(self, commands: np.ndarray) -> np.ndarray:
         """(..., axes) m, the remainder at commands (..., axes)."""
@@ -93,13 +95,15 @@ class Correction(Generic[M, R]):
         """Commands (..., axes) m of the method's text for wanted poses (...): X + KSF(X), X = IK(wanted).
 
         `inverse` makes it exact: there KSF is taken where the struts then stand. Source: configuration-space patent, [0027], [0030], [0090]
+        Raises RigError as `inverse`
         """
+        self._refuse_physics()
         x = self.uncorrected(T_base_platform)
         return x + self.summand(x)
 
     def missed(self, T_base_platform: RigidTransform, commands: np.ndarray) -> np.ndarray:
         """(n, axes) m or rad by which commands (n, axes) differ from those that give wanted poses (n,). Raises NotConverged as `inverse`"""
-        return commands - self.inverse(T_base_platform)
+        return commands - self.inverse_without_physics(T_base_platform)
 
     def corrected_forward(self, configurations: np.ndarray) -> RigidTransform:
         """KDK(x) = DK(x + KSF(x)), RigidTransform (...): what the owner's model says that a corrected configuration x (..., axes) gives.
@@ -140,9 +144,21 @@ class Correction(Generic[M, R]):
     def inverse(self, T_base_platform: RigidTransform) -> np.ndarray:
         """Commands (..., axes) m that give wanted poses (...), to 1e-12 m, docs/mathematics.md (20); limits are for `reachable` to check.
 
-        Raises NotConverged with index, commands and residual (m) where the fixed point is not found
+        Raises RigError where a calibration knows physics besides, NotConverged with index, commands and residual (m) where the fixed point is not
+        found
         """
+        self._refuse_physics()
+        return self.inverse_without_physics(T_base_platform)
+
+    def inverse_without_physics(self, T_base_platform: RigidTransform) -> np.ndarray:
+        """The commands (..., axes) of `inverse` by the configuration alone, whatever else a calibration knows. Raises NotConverged as `inverse`"""
         return self.settled(mechanisms.of(self.fitted).inverse(self.asked(T_base_platform), self.fitted))
+
+    def _refuse_physics(self) -> None:
+        """Raise RigError where commands by the configuration alone would leave known physics out."""
+        if self.physics:
+            raise RigError(f"this calibration knows physics that commands have to undo ({', '.join(self.physics)}), and a correction by "
+                           "configuration alone leaves it out: take calib.commanded(calibration, wanted), which gives what `rig correct` does")
 
     def near(self, T_base_platform: RigidTransform, guess: np.ndarray) -> np.ndarray:
         """Commands (n, axes) as `inverse` for poses (n,), NaN where none is found. guess : (n, axes), what is near."""

@@ -14,7 +14,7 @@ from rig.errors import RigError, Unreachable
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.commanded import Commanded
+    from calib.commands import Commanded
     from calib.store import Calibration
     from rig.recording import Sensors, Wanted
 
@@ -78,7 +78,7 @@ def run(arguments: Namespace) -> None:
     arguments.result = {"schema": "corrected/1", "wanted": count, "written": len(keep),
                         "out_of_reach": [{"frame": frame, "reason": line} for frame, line in sorted(refused)],
                         "commands": [{"frame": int(wanted.poses.frame[k]), "values": values} for k, values in zip(keep, done.values.tolist())]}
-    if done.covariance is not None and (calibration.physics is not None or wanted.t is not None):
+    if done.covariance is not None:
         expected = arguments.outputs.beside(out, ".poses.csv")
         if expected is not None:
             writing.write_poses(expected, recordings.Poses(wanted.poses.frame[keep], done.T_base_platform, done.covariance))
@@ -98,7 +98,7 @@ def run(arguments: Namespace) -> None:
 def _commanded(arguments: Namespace, calibration: Calibration, wanted: Wanted, keep: np.ndarray,
                given: tuple[np.ndarray, Sensors | None]) -> Commanded:
     """Commanded for the wanted poses to keep. given : where the axes start, sensors. Raises Unreachable for those that cannot be."""
-    from calib.certify.commanded import command, pace_of
+    from calib.commands import command, pace_of
     from calib.correct.correction import reachable
 
     (start, sensors), T = given, wanted.poses.T_base_platform[keep]

@@ -71,7 +71,7 @@ def run(arguments: Namespace) -> None:
         print_status(status, design)
     arguments.result |= {"commanded": lengths.tolist(), "off_owners_model": (lengths - correction.uncorrected(wanted)).tolist(), "moved": True,
                          "lengths": status.lengths.tolist()}
-    left = wanted.inv() * correction.predict(correction.inverse(wanted) + status.lengths - lengths)
+    left = wanted.inv() * correction.predict(correction.inverse_without_physics(wanted) + status.lengths - lengths)
     if not arguments.uncorrected:
         arguments.result |= {"left": vector(left).tolist()}
         print(f"by the calibration the platform is within {np.linalg.norm(left.translation) * 1e6:.1f} um and "
@@ -83,7 +83,7 @@ def _lengths(calibration: Calibration, wanted: RigidTransform, start: np.ndarray
     import numpy as np
     from scipy.spatial.transform import RigidTransform
 
-    from calib.certify.commanded import command
+    from calib.commands import command
 
     return command(calibration, RigidTransform.from_matrix(wanted.as_matrix()[None]), np.asarray(start, float)).values[0]
 

@@ -55,7 +55,7 @@ def run(arguments: Namespace) -> None:
     progress = Progress()
     progress("reading the recording", 0, 1)
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
-    wanted = recordings.load_poses(arguments.wanted) if arguments.wanted else None
+    wanted = recordings.load_poses(arguments.wanted, commanded=True) if arguments.wanted else None
     recording = read_recording(arguments)
     calibration.refuse_kind(recording.design.mechanism.kind, str(arguments.recording))
     page = place_of_page(arguments)

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arms import model
 from calib.arms.certify import certify, promised
-from calib.certify.commanded import command
+from calib.commands import command
 from calib.diagnose.problems.arm.diagnose import diagnose
 from calib.diagnose.taken_arm import of_arm_diagnosis, take_arm
 from calib.kept import kept

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Certified
-from calib.certify.commanded import command, pace_of
+from calib.commands import command, pace_of
 from calib.correct.correction import calibrate
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.taken import of_diagnosis, take

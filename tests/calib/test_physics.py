@@ -8,7 +8,7 @@ import pytest
 
 from calib import store
 from calib.certify.calibration import Calibration
-from calib.certify.commanded import command
+from calib.commands import command
 from calib.correct.correction import Correction, calibrate
 from calib.correct.driven import Machine, held, unremembered
 from calib.correct.physics import Physics, Unknown

@@ -14,7 +14,7 @@ from calib.arms.correction import ArmCorrection
 from calib.arms.observations import of_samples
 from calib.arms.with_physics import Beforehand, History, together
 from calib.certify.calibration import Calibration
-from calib.certify.commanded import command
+from calib.commands import command
 from calib.correct.physics import Physics
 from calib.correct.route import Pace
 from calib.pipeline import sample_recording
@@ -63,7 +63,7 @@ def test_whatever_moves_the_arm_is_undone(tmp_path, name, text):
     rest = difference(run.T_base_platform, T)
     atol = 1e-8 if name == "puma560" else 2e-5  # what a growing link leaves to four joints is no joint's to undo
     assert np.abs(rest[:, :3]).max() < 1e-8 and np.abs(rest[:, 3:]).max() < atol
-    plain = calibration.correction.inverse(T)
+    plain = calibration.correction.inverse_without_physics(T)
     bare = machine.run(design, done.route.commands(plain), t, calibration.physics.effects, warm)
     assert np.abs(difference(bare.T_base_platform, T)).max() > 1e-5
     np.testing.assert_allclose(done.T_base_platform.as_matrix(), T.as_matrix(), atol=1e-9)

@@ -8,10 +8,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.correct.correction import Responses
+from calib.correct.correction import Responses, reachable
 from calib.correct.physics import Physics
 from calib.correct.driven import Machine, held, memory, unremembered
 from calib.correct.route import Pace, Route, timed, untimed
+from calib.pose_covariance import pose_covariance
 from rig import mechanisms
 from rig.effects.base import Effect
 from rig.errors import NotConverged, Unreachable
@@ -25,8 +26,8 @@ ANY_TIME, GOLDEN = 60.0, 0.5 * (np.sqrt(5) - 1)  # s over which moments are spre
 @dataclass(frozen=True, slots=True, eq=False)
 class Commanded:
     """values : (n, axes) m or rad to command at the wanted poses; route : Route; T_base_platform : (n,) poses that come of them by the calibration,
-    those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad, on the right), None for a chain, and for an arm without
-    physics; missing : sensor channels that nobody logged, whose spread is in it."""
+    those wanted but for an arm of too few joints; covariance : (n, 6, 6) of these (m, rad, on the right), None for commands that were given;
+    missing : sensor channels that nobody logged, whose spread is in it."""
 
     values: np.ndarray
     route: Route
@@ -42,6 +43,22 @@ class _Spread:
     covariance: np.ndarray
     responses: Responses
     missing: tuple[str, ...]
+
+
+def commanded(calibration: Calibration, wanted: RigidTransform, t: np.ndarray | None = None, sensors: Sensors | None = None,
+              start: np.ndarray | None = None, approach: str = "auto") -> Commanded:
+    """Commanded for wanted poses T_base_platform (n,), or one (), in their order: what `rig correct` writes, all that the calibration knows undone.
+
+    t : (n,) s, when each is held, None for each until all has come to rest; sensors : Sensors over that time, None for as when calibrated
+    start : (axes,) m or rad where the axes stand at first, home by default; approach : as of `command`
+    Raises Unreachable listing the poses that leave the axes' ranges or come too soon, NotConverged where no commands are found
+    """
+    nominal = calibration.correction.nominal
+    T = RigidTransform.from_matrix(wanted.as_matrix().reshape(-1, 4, 4))
+    begin = mechanisms.of(nominal).home(nominal) if start is None else np.asarray(start, float)
+    done = command(calibration, T, begin, None if t is None else pace_of(calibration, np.asarray(t, float), sensors), sensors, approach)
+    reachable(done.values, nominal, [f"pose {i}" for i in range(len(done.values))])
+    return done
 
 
 def pace_of(calibration: Calibration, t: np.ndarray, sensors: Sensors | None) -> Pace:
@@ -63,22 +80,21 @@ def command(calibration: Calibration, T: RigidTransform, start: np.ndarray, pace
     Raises Unreachable for poses that come too soon, NotConverged where no commands are found; limits are for `reachable` to check
     """
     of = Machine(calibration.correction, calibration.physics, sensors)
-    plain = calibration.correction.inverse(T) if given is None else given
+    plain = calibration.correction.inverse_without_physics(T) if given is None else given
     T = calibration.correction.taken(T, plain)
     route = untimed(plain, start) if pace is None else timed(pace, plain, start)
     if given is not None:
         return Commanded(given, route, T, None, ())
     values = held(of, T, route, plain) if of.effects else plain
-    kind = calibration.correction.fitted.kind
-    if kind == "chain" or (kind == "arm" and calibration.physics is None):
-        return Commanded(values, route, T, None, ())
-    base = _covariance(calibration, of, T, route, values)
+    if calibration.physics is None:
+        return Commanded(values, route, T, pose_covariance(calibration, T, values), ())
+    base = _covariance(calibration, calibration.physics, of, T, (route, values))
     if pace is not None and approach != "never" and memory(of).any():
         sure = _axes(base.covariance, base.responses.back) if approach == "auto" else None
         found = _approached(of, T, route, values, pace, sure)
         if found is not route:
             route, values = found, held(of, T, found, values)
-            base = _covariance(calibration, of, T, route, values)
+            base = _covariance(calibration, calibration.physics, of, T, (route, values))
     doubt = unremembered(of, T, route, values) ** 2 / 3  # anywhere between the two, as likely here as there
     forgotten = np.einsum("nij,nj,nkj->nik", base.responses.axes, doubt, base.responses.axes)
     return Commanded(values, route, T, base.covariance + forgotten, base.missing)
@@ -123,34 +139,36 @@ def _axes(covariance: np.ndarray, A: np.ndarray) -> np.ndarray:
     return np.einsum("nij,njk,nik->ni", A, covariance, A)
 
 
-def _covariance(calibration: Calibration, of: Machine, T: RigidTransform, route: Route, values: np.ndarray) -> _Spread:
-    """_Spread: parameters of geometry and physics together, the struts' own scatter, channels that nobody logged, and what comes again at no
-    moment that anybody knows. docs/mathematics.md (21)"""
-    physics, commands, t = calibration.physics, route.commands(values), route.times
-    responses = calibration.correction.responses(T, of.effective(commands, t, T))
-    J, known = responses.parameters, calibration.covariance
-    parts, missing = [calibration.correction.scattering(calibration.scatter, responses)], []
+def _covariance(calibration: Calibration, physics: Physics, of: Machine, T: RigidTransform, at: tuple[Route, np.ndarray]) -> _Spread:
+    """_Spread: of the calibration without its physics, of the physics and of both together, of channels that nobody logged, and of what comes again
+    at no moment that anybody knows. docs/mathematics.md (21)
+
+    at : (Route, values (n, axes) at its poses)
+    """
+    (route, values), parts, missing = at, [], []
+    commands, t = route.commands(values), route.times
+    lengths = of.effective(commands, t, T)
+    responses = calibration.correction.responses(T, lengths)
 
     def stands(at: np.ndarray, effects: tuple[Effect, ...] = of.effects, sensors: Sensors | None = None) -> np.ndarray:
         """(n, 6) m and rad, of which differences tell how the machine moves between effects, or sensors, at times `at` (n,) s."""
         lengths, sway = of.reached(commands, at, T, effects, sensors)
         return (responses.axes @ lengths[..., None])[..., 0] + sway
 
-    if physics is not None:
-        middle = stands(t)
-        J = np.concatenate([J, _columns(physics, of, partial(stands, t))], axis=2)
-        known = np.block([[known, physics.cross], [physics.cross.T, physics.own]])
-        for name in of.missing:
-            course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
-            moved = stands(t, sensors=Sensors(of.sensors.t, course)) - middle
-            if moved.any():
-                parts.append(moved[..., None])
-                missing.append(name)
-        any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
-        for effect in physics.scattering():
-            moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
-            parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
-    return _Spread(J @ known @ np.swapaxes(J, 1, 2) + sum(part @ np.swapaxes(part, 1, 2) for part in parts), responses, tuple(missing))
+    middle, J = stands(t), _columns(physics, of, partial(stands, t))
+    both = responses.parameters @ physics.cross @ np.swapaxes(J, 1, 2)
+    for name in of.missing:
+        course = {**of.sensors.channels, name: of.sensors.channels[name] + physics.spread(name)}
+        moved = stands(t, sensors=Sensors(of.sensors.t, course)) - middle
+        if moved.any():
+            parts.append(moved[..., None])
+            missing.append(name)
+    any_time = t + ANY_TIME * (np.arange(len(t)) * GOLDEN % 1)  # not the poses' own times, which may all meet a sinusoid alike
+    for effect in physics.scattering():
+        moved = (stands(any_time, (*of.effects, effect)) - stands(any_time))[..., None]
+        parts.append(np.sqrt(np.mean(moved**2, axis=0, keepdims=True)) * np.eye(6))
+    covariance = pose_covariance(calibration, T, lengths) + J @ physics.own @ np.swapaxes(J, 1, 2) + both + np.swapaxes(both, 1, 2)
+    return _Spread(sum((part @ np.swapaxes(part, 1, 2) for part in parts), covariance), responses, tuple(missing))
 
 
 def _columns(physics: Physics, of: Machine, stands: Callable[[tuple[Effect, ...]], np.ndarray]) -> np.ndarray:
