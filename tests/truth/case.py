@@ -1,10 +1,10 @@
 """A case: a secret machine, its owner's belief, its fault, its day and its recording's plan, all drawn from a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.truth.draw_faults import FAULTS, LOADED, MOVING, SLOW, STRUTS_ALONE, Asked
+from tests.truth.draw_faults import FAULTS, LOADED, MOVING, SLOW, Asked, fits
 from tests.truth.draw_machines import nominal, secret
 from tests.truth.journey import PLANS, Journey, journey, middle, visits
 from tests.truth.kinematics import Machine
@@ -54,8 +54,8 @@ def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: st
     """
     if strength not in STRENGTHS or plan not in PLANS or effect not in (*FAULTS, "none"):
         raise ValueError(f"no case of {effect!r}, {strength!r}, {plan!r}")
-    if effect in STRUTS_ALONE and kind != "hexapod":
-        raise ValueError(f"{effect} is drawn for hexapods, not for a machine of kind {kind!r}")
+    if not fits(effect, kind):
+        raise ValueError(f"there is no law of {effect} for a machine of kind {kind!r}")
     rng = np.random.default_rng([seed, *effect.encode(), *plan.encode(), *kind.encode()])
     owner = nominal(kind, rng)
     machine = secret(owner, float(10 ** rng.uniform(-4.3, -3)), rng)
@@ -86,13 +86,28 @@ def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: st
         scale = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # an arm's angles, at half a metre
         found = FAULTS[effect](Asked(size, axes * scale, machine, way, warmth, mass, centre, payload, rng))
         chosen = int(rng.integers(len(found)))
-        variant = chosen if variant is None else variant
+        variant = chosen if variant is None else variant % len(found)
         laws = (found[variant],)
-    true = stood(machine, way, day, laws)
-    noise = rng.normal(size=(len(way.looked), 6)) * np.r_[np.full(3, sigma), np.full(3, sigma / 0.1)]
+    sigmas = (sigma, sigma / 0.1)
     logged = "temperature" if effect in SLOW[::2] else "payload" if effect in LOADED else ""
-    return Case(seed, kind, effect, strength, plan, variant or 0, owner, machine, laws, day, way, rows_of(displaced(true, noise)),
-                (sigma, sigma / 0.1), speeds, dwell, mass, centre, payload, logged, size)
+    seen = _seen(machine, way, day, laws, sigmas, rng)
+    return Case(seed, kind, effect, strength, plan, variant or 0, owner, machine, laws, day, way, seen, sigmas, speeds, dwell, mass, centre,
+                payload, logged, size)
+
+
+def again(case: Case, plan: str = "shuffled") -> Case:
+    """The same machine, fault and day recorded once more, by a plan with as many configurations drawn anew (14 with ladders)."""
+    rng = np.random.default_rng([case.seed, 99])
+    count = 14 if plan == "ladders" else min(len(case.seen), 60)
+    places = visits(plan, case.owner.ranges, count, rng)
+    way = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in MOVING or plan == "moving")
+    return replace(case, plan=plan, way=way, seen=_seen(case.machine, way, case.day, case.laws, case.sigma, rng))
+
+
+def _seen(machine: Machine, way: Journey, day: Conditions, laws: tuple[Law, ...], sigma: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+    """(n, 6) poses as the instrument has them."""
+    noise = rng.normal(size=(len(way.looked), 6)) * np.repeat(sigma, 3)
+    return rows_of(displaced(stood(machine, way, day, laws), noise))
 
 
 def wanted(case: Case, count: int = 120) -> np.ndarray:

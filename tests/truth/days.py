@@ -1,11 +1,13 @@
 """Faults of heat and time: expansion, warming up, growing plates, lost steps, shaking, clocks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tests.truth.kinematics import Arm, Hinge, SixStruts
 from tests.truth.laws import Law
 from tests.truth.motion import REFERENCE, Motion
+from tests.truth.rigid import errors
 
 
 @dataclass(frozen=True)
@@ -16,6 +18,7 @@ class Heated(Law):
     delay: float
 
     def beyond(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
+        assert isinstance(motion.machine, SixStruts | Hinge)
         if self.delay == 0:
             warm = motion.day.axes_at(motion.looked)
         else:
@@ -28,6 +31,22 @@ class Heated(Law):
                 core[k] = core[k - 1] + pull * (skin[k] - core[k - 1])
             warm = np.stack([np.interp(motion.looked, t, column) for column in core.T], axis=1)
         return self.axes * self.per_kelvin * (motion.values[motion.at] + motion.machine.zeros) * (warm - REFERENCE)
+
+
+@dataclass(frozen=True)
+class GrownLinks(Law):
+    """An arm's links, and what carries them, grow with the room: every length of its rows by per_kelvin, 1/K."""
+
+    per_kelvin: float
+
+    def sway(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
+        arm = motion.machine
+        assert isinstance(arm, Arm)
+        little = 1e-4
+        values = motion.values[motion.at]
+        grown = replace(arm, rows=arm.rows * (1 + little * np.array([0, 1, 1, 0]))).forward(values)
+        slope = errors(grown, arm.forward(values)) / little
+        return slope * self.per_kelvin * (motion.day.room_at(motion.looked) - REFERENCE)[:, None]
 
 
 @dataclass(frozen=True)

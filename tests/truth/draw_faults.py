@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.truth import days, loads, memories, places
 from tests.truth.journey import Journey
-from tests.truth.kinematics import Machine, SixStruts
+from tests.truth.kinematics import Arm, Machine, SixStruts
 from tests.truth.laws import Law
 
 LEAD = 0.004  # m/rev, of every screw drawn here
@@ -67,6 +67,8 @@ def _creep(a: Asked) -> list[Law]:
 
 
 def _heat(a: Asked) -> list[Law]:
+    if isinstance(a.machine, Arm):
+        return [days.GrownLinks(a.axes, a.size / 0.5 / (0.4 * a.warmth))]
     per_kelvin = a.size / float(np.abs(a.machine.ranges).mean()) / (0.4 * a.warmth)
     return [days.Heated(a.axes, per_kelvin, 0.0), days.Heated(a.axes, per_kelvin, a.span * a.rng.uniform(0.05, 0.15))]
 
@@ -167,3 +169,8 @@ MOVING = ("servo_lag", "time_offset", "clock_drift")  # which show while moving 
 SLOW = ("thermal_expansion", "warm_up", "base_expansion")  # which take the better part of an hour
 LOADED = ("compliance", "joint_clearance")  # which depend on what is carried
 STRUTS_ALONE = ("screw_coupling", "compliance", "joint_clearance", "base_expansion")
+
+
+def fits(effect: str, kind: str) -> bool:
+    """Whether there is a law of a fault for machines of a kind."""
+    return kind == "hexapod" or effect not in STRUTS_ALONE and (kind != "chain" or effect != "thermal_expansion")

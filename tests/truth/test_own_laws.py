@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.truth import FAULTS, draw, rms
-from tests.truth.days import Clocked, GrowingBase, Warming
+from tests.truth.days import Clocked, GrowingBase, GrownLinks, Warming
 from tests.truth.draw_machines import nominal
 from tests.truth.journey import Journey
-from tests.truth.kinematics import Hinge
+from tests.truth.kinematics import Arm, Hinge
 from tests.truth.laws import Law, stood
 from tests.truth.loads import Springs
 from tests.truth.memories import Bristles, Damped, LastStep, Logarithmic, Sliders, Stops, TwoPaces
@@ -104,6 +104,13 @@ def test_a_late_clock_sees_what_comes_later():
     t = np.array([0.0, 10.0])
     way = Journey(t, np.array([[0.4, 0.4], [0.45, 0.4]]), np.array([4.0]))
     assert np.abs(errors(stood(HINGE, way, DAY, (Clocked(STILL, 0.5, 0.125),)), HINGE.forward(np.array([[0.425, 0.4]])))).max() < 1e-12
+
+
+def test_links_grow_by_hand():
+    arm = Arm(np.array([[0.0, 0.3, 0.5, 0.0]]), np.array([False]), np.zeros(1), np.array([[-1.0, 1.0]]), np.zeros(1))
+    way = Journey(np.array([0.0, 60.0]), np.zeros((2, 1)), np.array([50.0]))  # at 23 C
+    pose = stood(arm, way, DAY, (GrownLinks(np.ones(1), 1e-4),))[0]
+    assert np.allclose(pose[:3, 3], [0.5 * 1.0003, 0, 0.3 * 1.0003], atol=1e-12)
 
 
 @pytest.mark.parametrize("effect", FAULTS)

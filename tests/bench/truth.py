@@ -1,0 +1,109 @@
+"""Claims held against an independent truth: machines of tests/truth calibrated through the command line, then driven.
+
+python -m tests.bench truth [--machines N] [--seed S] [--ways plain,find,..] [--effects ..] [--strengths ..] [--plans ..] [--out FILE.json]
+
+N machines go round the ways, effects, strengths and plans; the same seed is the same machine. Those in FILE.json
+already are left as they are.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.bench.truth_summary import summary
+from tests.bench.truth_trial import WAYS, Trial, tried
+from tests.conftest import ROOT
+from tests.truth import FAULTS, PLANS, STRENGTHS
+from tests.truth.draw_faults import MOVING, fits
+
+NAMES = ("none", *FAULTS)
+
+
+def trials(machines: int, seed: int, ways: list[str], effects: list[str], strengths: list[str], plans: list[str]) -> Iterator[Trial]:
+    """Trials in an order in which any beginning of the list is balanced: a draw of every one, from the seed."""
+    for number in range(machines):
+        rng = np.random.default_rng([seed, number])
+        way = ways[number % len(ways)]
+        kind = WAYS[way].kind
+        known = [name for name in effects if fits(name, kind)]
+        effect = known[(number // len(ways) + 3 * (number % len(ways))) % len(known)]
+        strength = "none" if effect == "none" else str(rng.choice(strengths))
+        effect = "none" if strength == "none" else effect
+        plan = str(rng.choice([p for p in plans if p != "moving"] or plans))
+        if effect in MOVING and "moving" in plans:
+            plan = "moving"
+        yield Trial(seed * 100000 + number, way, effect, strength, plan)
+
+
+def main(argv: list[str]) -> None:
+    """Run the campaign that argv asks for, and print its summary."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench truth")
+    parser.add_argument("--machines", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    for name, known in (("ways", tuple(WAYS)), ("effects", NAMES), ("strengths", STRENGTHS), ("plans", PLANS)):
+        parser.add_argument(f"--{name}", type=lambda text, known=known: _known(text, known), default=list(known))
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--seconds", type=float, default=np.inf, help="no machine is begun after so long")
+    given = parser.parse_args(argv)
+    lines = json.loads(given.out.read_text())["machines"] if given.out and given.out.exists() else []
+    done, end = {line["machine"] for line in lines}, time.monotonic() + given.seconds
+    for trial in trials(given.machines, given.seed, given.ways, given.effects, given.strengths, given.plans):
+        if trial.name in done or time.monotonic() > end:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            lines.append(tried(trial, Path(folder)))
+        print(_in_words(lines[-1]), flush=True)
+        if given.out:
+            _write(given.out, lines, "python -m tests.bench truth " + " ".join(argv), given.seed)
+    for cell, found in summary(lines).items():
+        print(f"{cell:32} {found['n']:4} cover {found['covered']}, rotation {found['covered_rotation'][0]}, {found['above']} above, {found['below']} "
+              f"below, {found['beyond']} beyond 1.5 x, of which {found['wrongly_good']} of {found['good']} good; ellipsoids {found['ellipsoids']}; "
+              f"refused {found['refused']}")
+
+
+def rows() -> Iterator[tuple[str, str, str]]:
+    """Yield (figure, reached, wanted) of twenty machines, plain."""
+    with tempfile.TemporaryDirectory() as folder:
+        lines = [tried(trial, Path(folder) / trial.name) for trial in trials(20, 1, ["plain"], list(NAMES), list(STRENGTHS), list(PLANS))]
+    whole = summary(lines)["all"]
+    yield f"{whole['n']} machines by an independent truth: 95 % interval of the claim covers", str(whole["covered"]), "93 to 98 %"
+    yield "good where the true error exceeds 1.5 times the claim's upper end", str(whole["wrongly_good"]), "0"
+
+
+def _known(text: str, known: tuple[str, ...]) -> list[str]:
+    names = text.split(",")
+    for name in names:
+        if name not in known:
+            raise argparse.ArgumentTypeError(f"{name!r} is none of {', '.join(known)}")
+    return names
+
+
+def _write(path: Path, lines: list[dict[str, Any]], command: str, seed: int) -> None:
+    """Write the campaign's file: who made it, the summary, a machine a line."""
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    head = {"schema": "truth/1", "commits": sorted({line["commit"] for line in lines} | {commit[:12]}), "seed": seed, "command": command}
+    text = json.dumps(head)[:-1] + ',\n"summary": {\n' + ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in summary(lines).items())
+    beside = path.with_suffix(".part")
+    beside.write_text(text + '},\n"machines": [\n' + ",\n".join(json.dumps(line) for line in lines) + "]}\n")
+    beside.replace(path)
+
+
+def _in_words(line: dict[str, Any]) -> str:
+    if "refused" in line:
+        return f"{line['machine']:60} refused: {line['refused'][:150]}"
+    middle, low, high = (x * 1e6 for x in line["claim"])
+    inside = "     " if line["covered"] else "LESS " if line["true"] < line["claim"][1] else "MORE "
+    return (f"{line['machine']:60} {inside} {line['state']:5} true {line['true'] * 1e6:8.2f} um, claim {middle:8.2f} ({low:.2f} to {high:.2f}), "
+            f"noise {line['sigma'] * 1e6:.1f}, size {line['size'] * 1e6:.1f}, {line['seconds']:.1f} s")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
