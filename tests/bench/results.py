@@ -1,37 +1,12 @@
 """Run benchmarks and keep what they gave, with what it was made by: python -m tests.bench.results [way forward ...]."""
 
 import json
-import os
-import platform
-import subprocess
 import sys
 from datetime import UTC, datetime
-from importlib.metadata import version
-from pathlib import Path
 
 from docs.make import results
+from tests.bench.made_by import ROOT, commit, machine
 from tests.bench.named import ALL, NAMED
-
-ROOT = Path(__file__).parents[2]
-PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "numba")
-
-
-def commit() -> str:
-    """The commit that is run, with "+" where the tree, but for the kept results, differs from it."""
-    head = _git("rev-parse", "--short=12", "HEAD")
-    return head + ("+" if _git("status", "--porcelain", "--untracked-files=no", ":!docs/results", ":!docs/results.md") else "")
-
-
-def _git(*words: str) -> str:
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-
-
-def machine() -> dict[str, object]:
-    """What the figures were taken on, and what else ran there: cores, memory (GiB), processor, versions, load over a minute."""
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    names = [line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
-    return {"cores": os.cpu_count(), "memory_GiB": round(memory), "processor": names[0] if names else platform.machine(),
-            "load": round(os.getloadavg()[0], 1), "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}}
 
 
 def keep(name: str) -> None:

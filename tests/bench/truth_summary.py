@@ -45,3 +45,28 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
         for value in sorted({of(line) for line in lines}):
             out[f"{name}: {value}"] = figures([line for line in lines if of(line) == value])
     return out
+
+
+def figures_in_words(lines: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """(figure, reached, wanted) of every cell."""
+    out = []
+    for cell, found in summary(lines).items():
+        if not found["n"]:
+            out.append((f"{cell}: machines without a claim", str(found["refused"]), ""))
+            continue
+        held, low, high = found["covered"]
+        out.append((f"{cell}: claims whose 95 % interval covers the true position error",
+                    f"{held:.1%} ({low:.1%} to {high:.1%}) of {found['n']}; {found['above']} truths above, {found['below']} below",
+                    "93 to 98 %" if found["n"] >= 40 else ""))
+        out.append((f"{cell}: true error over 1.5 times the claim's upper end", f"{found['wrongly_good']} of {found['good']} good, "
+                    f"{found['beyond'] - found['wrongly_good']} of {found['n'] - found['good']} others", "0 good"))
+        if cell == "all" or cell.startswith("way: "):
+            middle, low, high = found["true_over_claim"] or (float("nan"),) * 3
+            out.append((f"{cell}: rotation covered; true position error over the claim's middle, median and 80 % between",
+                        f"{found['covered_rotation'][0]:.1%}; {middle:.2f} ({low:.2f} to {high:.2f})", ""))
+            if found["ellipsoids"]:
+                out.append((f"{cell}: poses within their 95 % ellipsoids, whole and position", "{:.1%}, {:.1%}".format(*found["ellipsoids"])
+                            + f" of {found['poses']}", "93 to 97 %"))
+            if found["refused"]:
+                out.append((f"{cell}: machines without a claim", str(found["refused"]), ""))
+    return out

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import subprocess
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rig import cli
-from tests.conftest import ROOT
+from tests.bench.made_by import commit
 from tests.truth import Case, again, draw, drive, drive_in_time, errors, record, rms, wanted, write_sensors, write_wanted
 
 POSES = 200  # driven to
@@ -54,9 +53,9 @@ class Trial:
 
 
 @cache
-def commit() -> str:
-    """The commit that is judged."""
-    return subprocess.run(["git", "rev-parse", "--short=12", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+def judged() -> str:
+    """The commit that is judged, as it was when the first machine was."""
+    return commit()
 
 
 def tried(trial: Trial, folder: Path) -> dict[str, Any]:
@@ -65,7 +64,7 @@ def tried(trial: Trial, folder: Path) -> dict[str, Any]:
     case = draw(trial.seed, trial.effect, trial.strength, trial.plan, way.kind)
     line = {"machine": trial.name, "way": trial.way, "effect": trial.effect, "strength": trial.strength, "plan": trial.plan, "seed": trial.seed,
             "law": type(case.laws[0]).__name__ if case.laws else None, "n_poses": len(case.seen), "sigma": case.sigma[0], "size": case.size,
-            "commit": commit()}
+            "commit": judged()}
     try:
         calibration, state = _calibrated(case, way, folder)
         line |= {"state": state} | _driven(case, calibration, folder)

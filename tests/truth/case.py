@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.truth.draw_faults import FAULTS, LOADED, MOVING, SLOW, Asked, fits
+from tests.truth.draw_faults import FAULTS, LOADED, HURRIED, SLOW, Asked, fits
 from tests.truth.draw_machines import nominal, secret
 from tests.truth.journey import PLANS, Journey, journey, middle, visits
 from tests.truth.kinematics import Machine
@@ -65,7 +65,7 @@ def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: st
         count = max(count, 20) if kind != "hexapod" else count
     dwell = 60.0 if effect in SLOW else float(rng.uniform(5, 20)) if effect == "creep" else 2.0
     speeds = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 0.5, 0.02)
-    way = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in MOVING or plan == "moving")
+    way = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in HURRIED)
     warmth = float(rng.uniform(4, 8))
     span = float(way.t[-1])
     mass = float(rng.uniform(5, 20))
@@ -100,7 +100,7 @@ def again(case: Case, plan: str = "shuffled") -> Case:
     rng = np.random.default_rng([case.seed, 99])
     count = 14 if plan == "ladders" else min(len(case.seen), 60)
     places = visits(plan, case.owner.ranges, count, rng)
-    way = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in MOVING or plan == "moving")
+    way = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in HURRIED)
     return replace(case, plan=plan, way=way, seen=_seen(case.machine, way, case.day, case.laws, case.sigma, rng))
 
 
@@ -126,9 +126,10 @@ def drive(case: Case, values: np.ndarray) -> np.ndarray:
     """
     out, home, left = [], case.owner.ranges.mean(axis=1), np.asarray(values, float)
     while len(left):
-        ends = journey(left, home, case.speeds, case.dwell).looked
+        ends = journey(left, home, case.speeds, case.dwell, case.effect in HURRIED).looked
         count = max(int(np.searchsorted(ends, case.way.t[-1])), 1)
-        out.append(stood(case.machine, journey(left[:count], home, case.speeds, case.dwell), case.day, case.laws))
+        way = journey(left[:count], home, case.speeds, case.dwell, case.effect in HURRIED)
+        out.append(stood(case.machine, way, case.day, case.laws))
         left = left[count:]
     return np.concatenate(out)
 

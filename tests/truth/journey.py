@@ -7,7 +7,8 @@ from scipy.stats import qmc
 
 MIDDLE = 0.8  # share of every stroke that is visited and driven to
 LOOK = 0.25  # s before a dwell ends, when it is looked at
-PLANS = ("sobol", "shuffled", "ladders", "revisits", "moving")
+PLANS = ("sobol", "shuffled", "ladders", "revisits")
+ARRIVED = 1e-3  # s after it has arrived, when a hurried machine is looked at
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ def visits(plan: str, ranges: np.ndarray, count: int, rng: np.random.Generator) 
     """(n, axes) configurations of a plan in order.
 
     sobol : count in the order of the sequence; shuffled : the same in random order; ladders : count scattered ones, then two
-    axes alone, out and back in growing steps; revisits : count, then a third of them once more; moving : count, shuffled
+    axes alone, out and back in growing steps; revisits : count, then a third of them once more
     """
     axes = len(ranges)
     places = middle(ranges, spread(axes, count, rng))
@@ -61,18 +62,16 @@ def visits(plan: str, ranges: np.ndarray, count: int, rng: np.random.Generator) 
     return places
 
 
-def journey(places: np.ndarray, start: np.ndarray, speeds: np.ndarray, dwell: float, passing: bool = False) -> Journey:
+def journey(places: np.ndarray, start: np.ndarray, speeds: np.ndarray, dwell: float, hurried: bool = False) -> Journey:
     """Journey from start (axes,) to each of places (n, axes) in turn, all axes setting out and arriving at once.
 
     speeds : (axes,) top speeds, of which 0.6 is used; dwell : s at each place, looked at LOOK before its end
-    passing : looked at in the middle of every move as well
+    hurried : looked at as soon as it should have arrived
     """
     t, values, looked = [0.0, 1.0], [start, start], []
     for place in places:
         takes = max(float((np.abs(place - values[-1]) / (0.6 * speeds)).max()), 0.1)
-        if passing:
-            looked.append(t[-1] + takes * 0.5)
         t += [t[-1] + takes, t[-1] + takes + dwell]
         values += [place, place]
-        looked.append(t[-1] - LOOK)
+        looked.append(t[-1] - dwell + ARRIVED if hurried else t[-1] - LOOK)
     return Journey(np.array(t), np.array(values), np.array(looked))
