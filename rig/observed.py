@@ -165,7 +165,7 @@ def _pose_covariance(rows: Table, commanded: bool) -> np.ndarray | None:
     scale = np.sqrt(np.abs(np.einsum("nii->ni", covariance)))
     whitened = covariance / np.maximum(scale[:, :, None] * scale[:, None, :], 1e-300)
     if commanded:
-        whitened = whitened + np.eye(6) * ~covariance.any(axis=2)[:, None]
+        whitened = whitened + np.eye(6) * (scale == 0)[:, None]
     bad = np.flatnonzero(np.linalg.eigvalsh(whitened)[:, 0] <= 0)
     if len(bad):
         rows.fail("c00 .. c55 are no covariance: not positive definite", bad[0], "c00")
