@@ -28,29 +28,32 @@ from calib.correct.physics_file import physics_in, physics_out
 from calib.correct.posed_file import map_in, map_out
 from calib.identify.geometry import parameters
 from calib.workspace.file import workspace_in, workspace_out
+from calib.mechanism_file import mechanism_in, mechanism_out
+from calib.store_checks import require_contents, require_same_ranges, require_text
 from rig import json_file, remote
-from rig.design import Arm, Chain, Hexapod, Planar2
+from rig.design import Arm, Chain
 from rig.effects import BY_NAME
 from rig.effects.parse import Kinds
-from rig.entries import LARGEST_RIG, Entries
+from rig.entries import Entries
 from rig.exposures import LARGEST_IMAGE_FILE
 from rig.files import write_text
 from rig.kinds import Struts, struts_of
 from rig.outside import read_bytes
-from rig.pose import as_entry
 from rig.provenance import flat, marks, shared
 from rig.recording import Recording
 
 SCHEMA = "calibration/1"
 WITH_PHYSICS = "calibration/2"  # which a program that knows no physics refuses, as it would leave half of the correction out
 WITH_POSE_MAPS = "calibration/3"  # which one that knows no maps in pose space refuses for the same reason
-MOST_JOINTS = 64
 UNITS = "m, rad, s; covariances in their products"
 FRAMES = ("T_base_platform maps platform coordinates to the base; base and platform frame as the stated targets hold them; "
           "tangent x y z rx ry rz on the right, in the platform frame; commanded length = joint distance - strut zero")
 ARM_FRAMES = ("T_base_platform maps the target on the hand to the frame of poses.csv = base A_1(theta_1 + q_1) .. A_n tool, "
               "A = Rz Tz(d) Tx(a) Rx(alpha) Ry(beta); base and tool of the nominal arm are fitted where [instrument] says free; "
               "a joint turns to q - remainder(q); a slide's q adds to d, m; tangents x y z rx ry rz on the right")
+ARM_FRAMES_KNOWN = (ARM_FRAMES, ARM_FRAMES.replace("a slide's q adds to d, m; ", ""))  # before arms had slides
+CONTENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what a schema's files must hold, and what they cannot
+    SCHEMA: ((), ("physics", "pose_maps")), WITH_PHYSICS: (("physics",), ("pose_maps",)), WITH_POSE_MAPS: (("pose_maps",), ())}
 PARAMETERS = {"hexapod": "base joints 1..6 (x y z), platform joints 1..6 (x y z), strut zeros 1..6",
               "planar2": "base joints 1, 2 (x y), strut zeros 1, 2"}
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "rig")
@@ -136,17 +139,21 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
     """Calibration of a calibration.json, in which no effects stand but those known (kinds). Raises FileError for a file that is missing, cut off,
     of another schema, or that holds an array of another shape or a number that cannot be."""
     tree = json_file.load(Path(path), "calibration", SCHEMA, WITH_PHYSICS, WITH_POSE_MAPS)
-    nominal, fitted = mechanism_in(tree.table("nominal")), mechanism_in(tree.table("fitted"))
-    if (fitted.kind, len(fitted.axes)) != (nominal.kind, len(nominal.axes)):
-        tree.fail(f"fitted is of kind {fitted.kind!r} with {len(fitted.axes)} axes, nominal of kind {nominal.kind!r} with {len(nominal.axes)}")
+    nominal, fitted = mechanism_in(tree.table("nominal"), True), mechanism_in(tree.table("fitted"))
+    require_same_ranges(tree, nominal, fitted)
+    schema = tree.text("schema")
+    require_contents(tree, *CONTENTS[schema])
     correction = _correction_in(tree, nominal, fitted)
     nominal = correction.nominal
+    for key, known in (("units", (UNITS,)), ("frames", ARM_FRAMES_KNOWN if isinstance(nominal, Arm) else (FRAMES,)),
+                       ("parameter_order", (_order(correction),))):
+        require_text(tree, key, known)
     count = len((chains.names if isinstance(nominal, Chain) else names if isinstance(nominal, Arm) else parameters)(nominal))
     fit = tree.table("fit")
     return Calibration(correction, covariance_in(tree, count), _spread_in(tree, _scatter_key(nominal), len(nominal.axes)),
                        fit.wholes("frames"), fit.wholes("left_out"), _held_out_in(tree.table("held_out")), _provenance_in(tree),
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
-                       physics_in(tree.table("physics"), nominal, count, kinds) if tree.tree["schema"] == WITH_PHYSICS else None,
+                       physics_in(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
                        workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
                        confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None)
 
@@ -156,57 +163,8 @@ def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts 
     extension = kinds.from_entries(tree.table("extension"), axes) if "extension" in tree.tree else None
     if isinstance(nominal, Arm) and isinstance(fitted, Arm):
         return ArmCorrection(nominal, fitted, _parts_in(tree, axes, True), tree.array("visited", (None, axes)), extension=extension)
-    posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps")) if tree.tree["schema"] == WITH_POSE_MAPS else ()
+    posed = tuple(map_in(one, struts_of(nominal)) for one in tree.tables("pose_maps"))
     return Correction(nominal, fitted, _parts_in(tree, axes, False), extension=extension, posed=posed)
-
-
-def mechanism_out(mechanism: Struts | Arm | Chain) -> dict[str, Any]:
-    """dict of a mechanism, as JSON holds it."""
-    if isinstance(mechanism, Chain):
-        return {"kind": "chain", "stages": [mechanism_out(stage) for stage in mechanism.stages]}
-    if isinstance(mechanism, Arm):
-        return {"kind": "arm", "joints": mechanism.rows.tolist(), "limits": mechanism.limits.tolist(), "base": as_entry(mechanism.base),
-                "tool": as_entry(mechanism.tool), **({"slides": mechanism.slides.tolist()} if mechanism.slides.any() else {})}
-    if isinstance(mechanism, Planar2):
-        return {"kind": "planar2", **{name: getattr(mechanism, name).tolist() for name in ("base_joints", "strut_range", "strut_zeros")}}
-    return {"kind": mechanism.kind, "base_joints": mechanism.base_joints.tolist(), "platform_joints": mechanism.platform_joints.tolist(),
-            "strut_range": mechanism.strut_range.tolist(), "strut_zeros": mechanism.strut_zeros.tolist(), "home": as_entry(mechanism.home)}
-
-
-def mechanism_in(table: Entries) -> Struts | Arm | Chain:
-    """The mechanism of what `mechanism_out` gave, as Entries. Raises FileError for anything else."""
-    if table.text("kind", ("hexapod", "planar2", "arm", "chain")) == "chain":
-        stages = table.tables("stages")
-        if len(stages) < 2:
-            table.fail(f"{table.name('stages')} of a chain are two or more, got {len(stages)}", "stages")
-        return Chain(tuple(_stage_in(stage) for stage in stages))
-    return _stage_in(table)
-
-
-def _stage_in(table: Entries) -> Struts | Arm:
-    """A mechanism that stands alone, or in a chain."""
-    kind = table.text("kind", ("hexapod", "planar2", "arm"))
-    if kind == "planar2":
-        return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), table.array("strut_range", (2, 2), length_limit=LARGEST_RIG),
-                       table.array("strut_zeros", (2,), length_limit=LARGEST_RIG))
-    if kind == "arm":
-        rows = table.get("joints")
-        columns = len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) and len(rows[0]) == 4 else 5
-        joints = table.array("joints", (None, columns))
-        if not 0 < len(joints) <= MOST_JOINTS:
-            table.fail(f"{table.name('joints')} has {len(joints)} rows; an arm has 1 to {MOST_JOINTS} joints", "joints")
-        return Arm(joints, table.array("limits", (len(joints), 2)), table.pose("base"), table.pose("tool"), _slides_in(table, len(joints)))
-    return Hexapod(table.array("base_joints", (6, 3), length_limit=LARGEST_RIG), table.array("platform_joints", (6, 3), length_limit=LARGEST_RIG),
-                   table.array("strut_range", (6, 2), length_limit=LARGEST_RIG), table.pose("home"),
-                   table.array("strut_zeros", (6,), length_limit=LARGEST_RIG))
-
-
-def _slides_in(table: Entries, count: int) -> np.ndarray:
-    """(count,) bool, which joints slide; none where nothing is said."""
-    listed = table.get("slides", [False] * count)
-    if not isinstance(listed, list) or len(listed) != count or not all(isinstance(slide, bool) for slide in listed):
-        table.fail(f"{table.name('slides')} must list {count} times true or false", "slides")
-    return np.array(listed, bool)
 
 
 def _order(correction: Correction[Any, Any]) -> str:

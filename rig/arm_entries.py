@@ -67,10 +67,10 @@ def _tables(tables: list[Entries]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _table(table: Entries) -> Joint:
-    table.refuse_misspelt([one.name for one in fields(Joint)])
     kind = table.text("joint", tuple(KINDS), "revolute")
     found = Joint(kind, table.number("theta"), table.number("d"), table.number("a"), table.number("alpha"), table.number("beta", 0.0),
                   _own_limits(table, KINDS[kind]))
+    table.refuse_misspelt([one.name for one in fields(Joint)])
     for name in ("d", "a"):
         table.numbers(getattr(found, name), (), name, (), LARGEST_RIG)
     return found

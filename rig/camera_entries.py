@@ -11,7 +11,7 @@ def cameras(tables: list[Entries]) -> tuple[Camera, ...]:
     """The Cameras of [[camera]] tables. Raises FileError with line and column for anything that is no camera."""
     found: list[Camera] = []
     for table in tables:
-        table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount"))
+        table.refuse_misspelt(("name", "width", "height", "matrix", "distortion", "pose", "shutter", "row_time", "mount", "source"))
         name = table.identifier("name")
         if name in [camera.name for camera in found]:
             table.fail(f"camera {name!r} is listed twice", "name", value=name)

@@ -68,7 +68,14 @@ def main(argv: list[str] | None = None) -> int:
 
     Raises SystemExit where help was asked for or the usage is wrong
     """
-    argv = with_figures(sys.argv[1:] if argv is None else argv)
+    from rig.commands.escaped import escaped
+
+    with escaped():
+        return _main(with_figures(sys.argv[1:] if argv is None else argv))
+
+
+def _main(argv: list[str]) -> int:
+    """See `main`."""
     chosen = next((word for word in argv if not word.startswith("-")), None)
     parser = command_line([chosen] if chosen else [], tuple(argv))
     try:
@@ -139,6 +146,8 @@ def _run(arguments: argparse.Namespace) -> int:
     name = f"rig {arguments.command}"
     asked = _for_programs(arguments)
     try:
+        if any(getattr(arguments, written, None) for written in WRITTEN):
+            _require_utf8([*arguments.argv, os.path.realpath(".")])
         if asked and getattr(arguments, "out", None) == STANDARD_OUTPUT:
             raise RigError("--json and --out - both write to the standard output; name a file, or leave out --json")
         with _signals(), Outputs(arguments.command, arguments.argv[1:], _read(arguments), getattr(arguments, "overwrite", False)) as outputs:
@@ -204,6 +213,15 @@ def _workers(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     from rig.commands.workers import at_work
 
     return at_work(arguments)
+
+
+def _require_utf8(words: list[str]) -> None:
+    """Raise RigError for a name of a file that is no UTF-8: what is written names what it was made from, and is UTF-8."""
+    for word in words:
+        try:
+            word.encode("utf-8")
+        except UnicodeEncodeError:
+            raise RigError(f"{word}: this name is no UTF-8 text; rename that file or folder") from None
 
 
 def _for_programs(arguments: argparse.Namespace) -> bool:

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: beside their sources, and where the installation cannot be written, in a folder of the user's own."""
+"""Where compiled kernels are kept: beside their sources, and where that cannot be, in a folder of the user's own. They are loaded as code."""
 
 import os
 import stat
@@ -19,25 +19,45 @@ def keep_kernels() -> None:
 
 @cache
 def kernel_folder() -> Path | None:
-    """The folder for compiled kernels, or None where they lie beside their sources.
-
-    Kernels are loaded as code: a folder among temporary files is taken only where it is this user's alone.
-    """
+    """The folder for compiled kernels, or None where they lie beside their sources."""
     kept = HERE / "__pycache__"
-    if os.access(kept if kept.is_dir() else HERE, os.W_OK):
-        return None
+    return None if os.access(kept if kept.is_dir() else HERE, os.W_OK) else own_folder(f"{HERE.parent} cannot be written")
+
+
+def trusted_folder(folder: Path) -> Path:
+    """The folder itself where nobody but this user and root can write to it, else `own_folder`."""
+    return folder if is_private(folder) else own_folder(f"others can write to {folder}")
+
+
+@cache
+def is_private(folder: Path) -> bool:
+    """Whether nobody but this user and root can put a file into a folder, or where it is not there yet, into the nearest one above; nor
+    put another folder in its place."""
+    found = Path(os.path.realpath(folder))
+    there = [place.stat() for place in (found, *found.parents) if place.exists()]
+    own = there[0].st_uid in (0, os.getuid()) and not there[0].st_mode & 0o022
+    return own and not any(above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX for above in there[1:])
+
+
+@cache
+def own_folder(reason: str) -> Path:
+    """A folder for compiled kernels that is this user's alone: below the home, or else among temporary files. reason : why it is needed"""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    why = "cannot be written"
     try:
         folder = Path(home) / "rig"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
         if os.access(folder, os.W_OK):
-            return folder
+            if is_private(folder):
+                return folder
+            why = "can be written to by others"
     except OSError:
         pass  # no home, or one that cannot be written: the next place is tried
     folder = Path(tempfile.gettempdir()) / f"rig-kernels-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700)
-        _say(f"what is compiled is kept in {folder}: neither {HERE.parent} nor {home} can be written")
+        _say(f"what is compiled is kept in {folder}: {reason}, and {home} {why}")
     except FileExistsError:
         there = folder.lstat()
         if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & 0o077:

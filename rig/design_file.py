@@ -24,6 +24,7 @@ from rig.toml_positions import positions
 
 SCHEMA = "rig/1"
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+DYNAMICS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction", "angle_sigma", "speed_sigma")
 LARGEST_MARKER = 5.0  # m
 LARGEST = 1 << 22  # bytes of a rig.toml
 
@@ -60,7 +61,9 @@ def design_of(root: Entries) -> Design:
     root.schema("rig.toml", SCHEMA)
     root.refuse_misspelt(("schema", "name", "environment", "mechanism", "instrument", "actuator", "platform", "camera", "target", "sensor",
                           "insitu", "controller", "sensors", "dynamics", "experiment", "turned"))
+    root.table("dynamics", optional=True).refuse_misspelt(DYNAMICS)  # its figures are read by what needs them
     environment = root.table("environment", optional=True)
+    environment.refuse_misspelt(("gravity",))
     gravity = environment.array("gravity", (3,), default=list(STANDARD_GRAVITY))
     mechanism, actuator = _mechanism(root.table("mechanism")), _actuator(root.table("actuator", optional=True))
     cameras, targets = camera_entries.cameras(root.tables("camera")), _targets(root.tables("target"), bodies_of(mechanism))
@@ -81,12 +84,13 @@ def design_of(root: Entries) -> Design:
 def _mechanism(table: Entries) -> Hexapod | Planar2 | Arm | Chain | Free:
     kind = table.text("kind", ("hexapod", "planar2", "arm", "chain", "free"))
     if kind == "free":
+        table.refuse_misspelt(("kind",))
         return Free()
     if kind == "chain":
-        table.refuse_misspelt(("kind", "stage"))
         stages = [_stage(one) for one in table.tables("stage")]
         if len(stages) < 2:
             table.fail(f"{table.name('stage')}: a chain has two stages or more, [[mechanism.stage]] each, got {len(stages)}", "kind")
+        table.refuse_misspelt(("kind", "stage"))
         return Chain(tuple(stages))
     return _stage(table)
 
@@ -95,9 +99,11 @@ def _stage(table: Entries) -> Hexapod | Planar2 | Arm:
     """A mechanism that stands alone or in a chain."""
     kind = table.text("kind", ("hexapod", "planar2", "arm"))
     if kind == "arm":
+        table.refuse_misspelt(("kind", "joints", "limits"))
         joints, slides = arm_entries.joints(table)
         return Arm(joints, arm_entries.limits(table, slides), slides=slides)
     if kind == "planar2":
+        table.refuse_misspelt(("kind", "base_joints", "strut_range"))
         return Planar2(table.array("base_joints", (2, 2), length_limit=LARGEST_RIG), _ranges(table, "strut_range", 2, LARGEST_RIG))
     table.refuse_misspelt(("kind", "base_joints", "platform_joints", "strut_range", "home"))
     base = table.array("base_joints", (6, 3), length_limit=LARGEST_RIG)
@@ -123,6 +129,7 @@ def _ranges(table: Entries, key: str, count: int, length_limit: float) -> np.nda
 
 
 def _actuator(table: Entries) -> Actuator:
+    table.refuse_misspelt([field.name for field in fields(Actuator)])
     return Actuator(table.number("screw_lead", None, above=0, most=1, unit="m"),
                     table.text("joints", ("cardan-cardan", "cardan-ball"), default=None),
                     table.number("max_speed", None, above=0, most=100, unit="m/s"))
@@ -169,6 +176,7 @@ def _sensors(table: Entries) -> SensorPort:
 
 
 def _platform(table: Entries) -> Platform:
+    table.refuse_misspelt([field.name for field in fields(Platform)])
     return Platform(table.number("mass", None, least=0, unit="kg"),
                     table.array("centre_of_mass", (3,), None, LARGEST_RIG), table.array("payload_centre_of_mass", (3,), None, LARGEST_RIG))
 
@@ -197,12 +205,12 @@ def _sensor(table: Entries) -> Sensor:
 def _targets(tables: list[Entries], bodies: tuple[str, ...]) -> tuple[Target, ...]:
     targets, owners = list[Target](), dict[int, str]()
     for table in tables:
-        table.refuse_misspelt(("name", "body", "dictionary", "edge", "marker", "faces", "pose"))
+        listed = isinstance(table.tree.get("marker"), list)
+        table.refuse_misspelt(("name", "body", "dictionary", "marker", *(() if listed else ("edge", "faces", "pose"))))
         name = table.identifier("name")
         if name in [target.name for target in targets]:
             table.fail(f"target {name!r} is listed twice", "name", value=name)
         body, dictionary = table.text("body", bodies), table.text("dictionary", tuple(DICTIONARIES))
-        listed = isinstance(table.tree.get("marker"), list)
         target = _listed(table, name, body, dictionary) if listed else _cube(table, name, body, dictionary)
         keys: list[tuple[str | int, ...]] = [("faces", face) for face, _ in target.faces]
         for number, key in zip(target.ids, keys or [("marker", i, "id") for i in range(len(target.listed))]):
@@ -234,6 +242,7 @@ def _cube(table: Entries, name: str, body: str, dictionary: str) -> Target:
 def _listed(table: Entries, name: str, body: str, dictionary: str) -> Target:
     markers = []
     for row in table.tables("marker"):
+        row.refuse_misspelt([field.name for field in fields(Marker)])
         side = row.number("side", above=0, most=LARGEST_MARKER, unit="m (is it in millimetres?)")
         margin = row.number("margin", default=side / 8, least=0, most=LARGEST_MARKER, unit="m")
         markers.append(Marker(row.whole("id", 0), side, row.pose("pose"), margin))

@@ -13,7 +13,6 @@ from rig.mechanisms.dynamics import Links
 
 HEAVIEST = 1e5  # kg, and kg m^2
 STRONGEST = 1e7  # N m or N
-KEYS = ("links", "torque_limits", "torque_sigma", "torque_constants", "friction", "angle_sigma", "speed_sigma")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +52,8 @@ def load(path: Path | str) -> tuple[Design, ArmDynamics]:
 
 def stated(table: Entries, n: int) -> ArmDynamics:
     """ArmDynamics of the table [dynamics] of an arm of n joints. Raises FileError with line and column for figures that cannot be"""
-    table.refuse_misspelt(KEYS)
-    each = {name: table.each(name, n, None, above=0, most=STRONGEST) for name in KEYS if name not in ("links", "friction")}
+    table.refuse_misspelt(design_file.DYNAMICS)
+    each = {name: table.each(name, n, None, above=0, most=STRONGEST) for name in design_file.DYNAMICS if name not in ("links", "friction")}
     friction = table.array("friction", (n, 2), None)
     for i, j in np.argwhere(friction < 0) if friction is not None else ():
         table.fail(f"friction[{i + 1}] must not be negative, not {friction[i, j]:g}", "friction", int(i), int(j))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -22,6 +22,7 @@ LARGEST_RIG = 50.0  # m; nothing on struts or arms is larger, so a larger figure
 LARGEST_NUMBER = 1e100  # beyond it the square of a number is none
 LARGEST_TURN = 7.0  # rad, of a rotation vector's components: a full turn is 2 pi
 LARGEST_WHOLE = 1 << 53  # to which a float counts
+NEAREST = 0.6  # of difflib's ratio, between an unknown key and the known one that is named
 SLIPS = 200  # keys among which a slip of one is looked for
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 NAMES = "letters, digits, '_', '-' and '.', at most 64 of them, the first a letter, digit or '_'"
@@ -30,9 +31,9 @@ Key = str | int  # of a table, or an index of a list
 Shape = tuple[int | None, ...]  # of nested lists; None: any length
 
 
-def slip(word: str, known: Iterable) -> str | None:
-    """The one of some known words that a word is likely a slip of, or None."""
-    near = difflib.get_close_matches(word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=0.7)
+def slip(word: str, known: Iterable, cutoff: float = 0.7) -> str | None:
+    """The one of some known words that a word is likely a slip of, or None. cutoff : of difflib's ratio, least of what counts as near"""
+    near = difflib.get_close_matches(word[:64], [k for k in list(known)[:SLIPS] if isinstance(k, str) and len(k) <= 64], n=1, cutoff=cutoff)
     return near[0] if near else None
 
 
@@ -52,7 +53,7 @@ class Entries:
     tree: dict
     path: tuple
     file: Path
-    places: dict
+    places: Mapping
 
     def fail(self, message: str, *keys: Key, value: Any = None) -> NoReturn:
         """Raise FileError at the value under keys, or at the nearest thing above it that has a place."""
@@ -217,6 +218,7 @@ class Entries:
     def pose(self, key: Key) -> RigidTransform:
         """RigidTransform of a table with position (m) and rotvec (rad)."""
         inner = self.table(key)
+        inner.refuse_misspelt(("position", "rotvec"))
         position = inner.array("position", (3,), length_limit=LARGEST_RIG)
         return pose(position, inner.turn("rotvec"))
 
@@ -228,9 +230,9 @@ class Entries:
         return value
 
     def refuse_misspelt(self, known: Collection[str]) -> None:
-        """An unknown key one slip away from a known, absent one is a slip; other unknown keys are left alone."""
-        for key in list(self.tree)[:SLIPS]:
+        """Raise FileError at the first key that is not known, with the nearest that is: a figure that nobody reads must not look as if it counted."""
+        for key in self.tree:
             if key not in known:
-                near = [k for k in difflib.get_close_matches(key[:64], known, n=1, cutoff=0.8) if k not in self.tree]
-                if near:
-                    self.fail(f"unknown key {self.name(key)!r}; is {near[0]!r} meant?", key, value=key)
+                near = slip(str(key), known, NEAREST)
+                hint = f"is {near!r} meant?" if near else f"there {'are' if len(known) > 1 else 'is'} {', '.join(known)}"
+                self.fail(f"unknown key {shown(self.name(key))}; {hint}", key, value=key)

@@ -9,7 +9,7 @@ import numpy as np
 from rig import remote
 from rig.design import Camera, Design
 from rig.errors import FileError
-from rig.images import check_image, check_opened, inside
+from rig.images import MOST_PIXELS, check_image, check_opened, inside
 from rig.origin import Origin
 from rig.outside import read_bytes
 from rig.table import Table
@@ -119,12 +119,15 @@ def _listed(path: Path, _: Camera) -> str | None:
     return "no such image" if size is None else "is an empty file" if not size else None
 
 
-def read_image(path: Path) -> np.ndarray:
-    """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. Raises FileError for one that cannot be."""
+def read_image(path: Path, most: int = MOST_PIXELS) -> np.ndarray:
+    """Image (rows, columns) or (rows, columns, 3) as stored, decoded once its size has been looked at. most : px that it may have.
+
+    Raises FileError for one that cannot be decoded
+    """
     import cv2
 
     data = read_bytes(path, LARGEST_IMAGE_FILE, "no such image")
-    problem = check_opened(BytesIO(data))
+    problem = check_opened(BytesIO(data), most=most)
     if problem:
         raise FileError(path, problem)
     try:

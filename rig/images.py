@@ -13,7 +13,8 @@ from rig.outside import open_file
 
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 FORMATS = "PNG, JPEG, TIFF, BMP, PGM and PPM"  # whose size can be looked at before decoding
-MOST_PIXELS = 1 << 28
+MOST_PIXELS = 1 << 27  # of an image: 134 million, more than machine cameras have
+MOST_OF_A_PHOTOGRAPH = 1 << 26  # of a picture that no stated camera took: 67 million
 HEAD = 4096  # bytes
 SEGMENTS = 10_000  # of a JPEG before its frame, entries of a TIFF's directory
 FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of a JPEG that give its size
@@ -35,8 +36,8 @@ def check_image(path: Path, camera: Camera | None = None) -> str | None:
         return f"cannot be read: {error.strerror}"
 
 
-def check_opened(file: BinaryIO, camera: Camera | None = None) -> str | None:
-    """The same of an image that is open. Raises OSError where it cannot be read."""
+def check_opened(file: BinaryIO, camera: Camera | None = None, most: int = MOST_PIXELS) -> str | None:
+    """The same of an image that is open. most : px that it may have. Raises OSError where it cannot be read."""
     head = file.read(HEAD)
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 64))
@@ -55,9 +56,18 @@ def check_opened(file: BinaryIO, camera: Camera | None = None) -> str | None:
         return f"is no image whose size can be told; images are {FORMATS}"
     if camera is not None and got != (camera.width, camera.height):
         return f"is {got[0]} x {got[1]} px, but camera {camera.name!r} has {camera.width} x {camera.height} px"
-    if not 0 < got[0] * got[1] <= MOST_PIXELS:
-        return f"claims {got[0]} x {got[1]} px; an image has at most {MOST_PIXELS}"
+    if not 0 < got[0] * got[1] <= most:
+        return f"claims {got[0]} x {got[1]} px; an image has at most {most}"
     return None
+
+
+def claimed_size(path: Path) -> tuple[int, int] | None:
+    """(width, height) px that an image file claims, or None for what is none. Raises FileError where it cannot be opened."""
+    with open_file(path, "no such image") as file:
+        try:
+            return _size(file, file.read(HEAD))
+        except (struct.error, ValueError):
+            return None
 
 
 def _size(file: BinaryIO, head: bytes) -> tuple[int, int] | None:

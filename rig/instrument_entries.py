@@ -1,6 +1,7 @@
 """The [instrument] of a rig.toml: who wrote poses.csv, what of a pose it sees, and how well."""
 
 import math
+from dataclasses import fields
 
 from rig.design import Instrument
 from rig.entries import Entries
@@ -10,6 +11,7 @@ KINDS = ("pose", "orientation", "distance")
 
 def instrument(table: Entries) -> Instrument:
     """Instrument of a table. Raises FileError for figures that are missing, implausible or of what its kind does not see."""
+    table.refuse_misspelt([field.name for field in fields(Instrument)])
     kind = table.text("kind", KINDS, default="pose")
     for key, seen in (("position_sigma", kind != "orientation"), ("rotation_sigma", kind != "distance")):
         if key in table.tree and not seen:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import FileError
+from rig.json_positions import LARGEST as LOOKED_THROUGH
+from rig.json_positions import Doubled, Places, doubled, pairs
 from rig.outside import read_text, shown
 from rig.schema import require
 
@@ -21,14 +22,17 @@ LARGEST = 1 << 26  # bytes
 def load(path: Path, what: str, *schemas: str) -> Entries:
     """The table that a JSON file holds. what : it should be, as in "calibration"; schemas : of which it must name one; none for any.
 
-    Raises FileError for a file that is missing, cut off, no JSON, nested too deep or of another schema
+    Raises FileError for a file that is missing, cut off, no JSON, nested too deep, of another schema, or with a key twice in one table
     """
     from rig.entries import Entries
 
     path = Path(path)
     text = read_text(path, LARGEST)
     try:
-        tree = json.loads(text)
+        tree = json.loads(text, object_pairs_hook=pairs)
+    except Doubled:
+        key, place = (doubled(text) if len(text) <= LOOKED_THROUGH else None) or ("some key", (None, None))
+        raise FileError(path, f"key {shown(key)} is there twice in one table: which holds?", *place, key) from None
     except json.JSONDecodeError as error:
         raise FileError(path, f"not valid JSON: {error.msg} (cut off?)", error.lineno, error.colno) from None
     except RecursionError:
@@ -37,18 +41,10 @@ def load(path: Path, what: str, *schemas: str) -> Entries:
         raise FileError(path, f"not valid JSON: {error}") from None
     if not isinstance(tree, dict):
         raise FileError(path, f"is no {what}: it holds {shown(tree)}")
+    places = Places(text)
     if schemas:
-        require(path, what, tree.get("schema"), schemas, _place(text, "schema"))
-    return Entries(tree, (), path, {(): (None, None)})
-
-
-def _place(text: str, key: str) -> tuple[int, int] | tuple[None, None]:
-    """(line, column) of what stands first under a key in a JSON text; of none, None."""
-    found = re.search(rf'"{key}"\s*:\s*', text)
-    if found is None:
-        return None, None
-    before = text[: found.end()]
-    return before.count("\n") + 1, found.end() - before.rfind("\n")
+        require(path, what, tree.get("schema"), schemas, places.get(("schema",), (None, None)))
+    return Entries(tree, (), path, places)
 
 
 def nulls(tree: Any) -> Any:

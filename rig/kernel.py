@@ -1,10 +1,14 @@
 """Kernels that numba compiles when they are first called, so that a command which calls none does not open it."""
 
+import inspect
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
+from pathlib import Path
 from typing import Any, cast
+
+from rig.compiled import trusted_folder
 
 _FOLDERS = threading.RLock()  # held while numba's folder is another: it has one for all threads
 _say: Callable[[], None] | None = None  # to be called when something is compiled
@@ -46,7 +50,8 @@ def _listen() -> None:
 class Kernel:
     """A function that is compiled, or loaded as an earlier run compiled it, at its first call; other kernels may call it.
 
-    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings say
+    function : as written; options : of numba.njit; folder : where what is compiled is kept, None where numba's settings say; to which no other
+    user can write, or else it is another
     """
 
     def __init__(self, function: Callable, options: dict[str, Any], folder: Callable[[], str] | None = None) -> None:
@@ -62,8 +67,11 @@ class Kernel:
         with _FOLDERS:
             before = settings.CACHE_DIR
             try:
-                if self._folder is not None:
-                    settings.CACHE_DIR = self._folder()
+                beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
+                wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
+                kept = trusted_folder(wanted)
+                if kept != beside:
+                    settings.CACHE_DIR = str(kept)
                 return cast(Callable, numba.njit(**self._options)(self._function))
             finally:
                 settings.CACHE_DIR = before

@@ -10,7 +10,7 @@ from rig.errors import NotEnoughData, RigError
 from rig.outside import shown
 from rig.recording import Poses, Recording
 
-FRAME = re.compile(r"\s*(\d{1,18})(?:\s*-\s*(\d{1,18}))?\s*")
+FRAME = re.compile(r"\s*([0-9]{1,18})(?:\s*-\s*([0-9]{1,18}))?\s*")
 
 
 def ranges(text: str) -> tuple[tuple[int, int], ...]:

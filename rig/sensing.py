@@ -8,6 +8,7 @@ from rig.clock import Clock
 from rig.design import SensorPort
 from rig.errors import NoAnswer
 from rig.link import Port
+from rig.number import numbers
 from rig.port import SerialPort
 
 WAIT = 2.0  # s for a line
@@ -53,7 +54,7 @@ class Sensing:
     def _values(self, line: bytes) -> dict[str, float]:
         cells = line.decode("latin-1").replace(",", " ").replace(";", " ").split()
         try:
-            values = [float(cell) for cell in cells]
+            values = numbers(cells)
         except ValueError:
             values = []
         if len(values) != len(self._stated.channels) or not np.isfinite(values).all():

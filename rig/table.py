@@ -12,10 +12,10 @@ import numpy as np
 
 from rig.entries import LARGEST_NUMBER, LARGEST_WHOLE
 from rig.errors import FileError
+from rig.number import LONGEST_NUMBER, NotFinite, number, numbers
 from rig.origin import LATEST, Origin, other_unit
 from rig.outside import read_text, shown
 
-LONGEST_NUMBER = 100  # characters; a float has 17 digits
 FOREIGN = {"semicolon": ";", "tab": "\t"}  # separators of other people's tables
 MOST_COLUMNS = 1000
 
@@ -40,16 +40,15 @@ class Table:
     def text(self, column: str) -> list[str]:
         """List of the column's cells, spaces around them dropped."""
         at = self.columns.index(column)
-        return [row[at].strip() for row in self.rows]
+        return [row[at].strip(" \t") for row in self.rows]
 
     def numbers(self, column: str) -> np.ndarray:
         """(n,) finite floats. Raises FileError at the first cell that is none."""
         cells = self.text(column)
         try:
-            if max(map(len, cells), default=0) <= LONGEST_NUMBER:
-                values = np.array([float(cell) for cell in cells])
-                if (np.abs(values) <= LARGEST_NUMBER).all():
-                    return values
+            values = np.array(numbers(cells))
+            if (np.abs(values) <= LARGEST_NUMBER).all():
+                return values
         except ValueError:
             pass
         for i, cell in enumerate(cells):
@@ -87,11 +86,11 @@ def _number_problem(cell: str) -> str | None:
     if len(cell) > LONGEST_NUMBER:
         return f"has {len(cell)} characters, more than any number needs"
     try:
-        value = float(cell)
+        value = number(cell)
+    except NotFinite:
+        return "is not finite"
     except ValueError:
         return "is not a number" if cell else "is empty"
-    if not np.isfinite(value):
-        return "is not finite"
     return "is too large to compute with" if abs(value) > LARGEST_NUMBER else None
 
 

@@ -1,6 +1,7 @@
 """Where each value of a TOML text stands, so that an error can name line and column (tomllib does not say)."""
 
 import re
+import tomllib
 from collections.abc import Callable, Sequence
 
 _SPACE = re.compile(r"[ \t]*")
@@ -28,6 +29,14 @@ def positions(text: str) -> dict[tuple, tuple[int, int]]:
     return found
 
 
+def _name(key: str) -> str:
+    """The name that a key stands for, quoted or bare."""
+    if "\\" in key and key[0] == '"':
+        name: str = tomllib.loads(f"name = {key}")["name"]
+        return name
+    return key.strip("\"'")
+
+
 class _Scanner:
     """A recursive descent over TOML that keeps nothing but offsets."""
 
@@ -50,7 +59,7 @@ class _Scanner:
         while True:
             self.skip(_SPACE)
             match = self.match(_KEY)
-            parts.append(match.group().strip("\"'"))
+            parts.append(_name(match.group()))
             self.at = match.end()
             self.skip(_SPACE)
             if self.text[self.at] != ".":

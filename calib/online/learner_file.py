@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from calib.online.learners import LEARNERS, Learner
-from calib.store import mechanism_in, mechanism_out
+from calib.mechanism_file import mechanism_in, mechanism_out
 from rig import json_file
 from rig.design import Hexapod
 from rig.entries import LARGEST_RIG

@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.certify.insitu import Agreement, Limbs, measuring, stated
 from calib.certify.limb_closure import Checks
-from calib.store import covariance_in, mechanism_in, mechanism_out
+from calib.mechanism_file import mechanism_in, mechanism_out
+from calib.store import covariance_in
 from rig import json_file
 from rig.design import Design, Hexapod
 from rig.entries import Entries

@@ -23,8 +23,8 @@ from rig.toml_positions import positions
 HEAD = """# rig.toml, table by table
 
 Made from what reads the file (`python -m docs.make.rig_toml`). Lengths are in metres, angles in radians, times in seconds; a rotation is a
-rotation vector. A key that the reader does not know is left alone, unless it is one slip away from one that it knows: then that is an
-error. `rig design` writes a file to begin with; [conventions](conventions.md) say how frames, faces and corners are meant.
+rotation vector. A key that the reader does not know is an error, with its line and the nearest key that is
+known; remarks are TOML comments. `rig design` writes a file to begin with; [conventions](conventions.md) say how frames, faces and corners are meant.
 
 `schema = "rig/1"` stands first.
 """

@@ -3,10 +3,14 @@
 import os
 from pathlib import Path
 
+import numpy as np
+
 from rig.cameras.source import CameraError, Frame
 from rig.clock import Clock
 from rig.design import Camera
-from rig.images import JPEG, PNG, check_image
+from rig.errors import FileError
+from rig.exposures import read_image
+from rig.images import JPEG, PNG, check_image, claimed_size
 
 EVERY = 0.02  # s between looks
 QUIET = 0.2  # s without growth after which a file without an end mark of its own counts as whole
@@ -33,8 +37,6 @@ class FolderSource:
 
         Raises CameraError where none comes or one is of another size.
         """
-        import cv2
-
         for name in self._names():  # dropped while nobody had asked: exposed some other time
             self._known.add(name)
         asked = self._clock.now()
@@ -46,17 +48,22 @@ class FolderSource:
                 if name in self._known or not self._whole(self._folder / name, sizes, now):
                     continue
                 self._known.add(name)
-                image = cv2.imread(str(self._folder / name), cv2.IMREAD_UNCHANGED)
-                if image is None:
-                    raise CameraError(f"camera {self.name!r}: {self._folder / name} cannot be decoded as an image")
-                if image.shape[:2] != (self._camera.height, self._camera.width):
-                    raise CameraError(f"camera {self.name!r}: {self._folder / name} is {image.shape[1]} x {image.shape[0]} px, but rig.toml has "
-                                      f"{self._camera.width} x {self._camera.height} px")
+                image = self._decoded(self._folder / name)
                 first = sizes[name][2]
                 return Frame(image, (asked + first) / 2, max(first - asked, EVERY) / 12**0.5)
             if now - asked > self._wait:
                 raise CameraError(f"camera {self.name!r}: no whole image appeared in {self._folder} within {self._wait:g} s")
             self._clock.sleep(EVERY)
+
+    def _decoded(self, path: Path) -> np.ndarray:
+        """The image of a file, decoded once its size has been looked at. Raises CameraError for another size and for what is no image."""
+        try:
+            size, expected = claimed_size(path), (self._camera.width, self._camera.height)
+            if size is not None and size != expected:
+                raise CameraError(f"camera {self.name!r}: {path} is {size[0]} x {size[1]} px, but rig.toml has {expected[0]} x {expected[1]} px")
+            return read_image(path)
+        except FileError as error:
+            raise CameraError(f"camera {self.name!r}: {error}") from None
 
     def _names(self) -> list[str]:
         return sorted(entry.name for entry in os.scandir(self._folder) if entry.name.lower().endswith(TYPES) and not entry.name.startswith("."))

@@ -21,6 +21,7 @@ from rig import json_file
 from rig.commands.output import add_force, add_result
 from rig.commands.workers import each, pool
 from rig.errors import FileError, RigError
+from rig.number import whole
 from rig.outside import read_bytes, shown
 from rig.processes import finished
 
@@ -42,12 +43,12 @@ INTERRUPTED = (130, -2, -9, -15)  # exit statuses of a process that somebody sto
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
-    parser.add_argument("--season", type=int, required=True, metavar="N", help="how many cases")
+    parser.add_argument("--season", type=whole, required=True, metavar="N", help="how many cases")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="recordings, hashes, truth, diagnoses and score are kept there; "
                         "a campaign that was interrupted goes on where it stopped")
-    parser.add_argument("--seed", type=int, default=0, help="another seed is another campaign")
+    parser.add_argument("--seed", type=whole, default=0, help="another seed is another campaign")
     parser.add_argument("--cases", "--trials", dest="cases", metavar="LIST", help="only these of the campaign, for example 3,7-9")
-    parser.add_argument("--frames", type=int, help="of each recording, about (default 380; 40 in images)")
+    parser.add_argument("--frames", type=whole, help="of each recording, about (default 380; 40 in images)")
     parser.add_argument("--hide", metavar="KINDS", help="what cases may hide (default all): nothing, one, two effects; of hexapods also "
                         "something foreign to the catalogue (foreign), disturbed noise (noise), not in images")
     parser.add_argument("--effects", metavar="NAMES", default="", help="effects to draw from, joined by commas (default all)")
@@ -129,7 +130,7 @@ def _indices(text: str | None, count: int) -> list[int]:
     if text is None:
         return list(range(1, count + 1))
     try:
-        ranges = [[int(end) for end in part.split("-")] for part in text.split(",")]
+        ranges = [[whole(end) for end in part.split("-")] for part in text.split(",")]
     except ValueError:
         raise RigError(f"--cases takes for example 3,7-9, not {shown(text)}") from None
     if any(len(ends) > 2 or not 1 <= ends[0] <= ends[-1] <= count for ends in ranges):

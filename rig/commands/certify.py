@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rig.commands.output import (SEED, Progress, add_force, add_result, file_or_stdout, near, no_drawing, print_unsolved, read_recording,
                                  require_drawing)
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     from calib.pipeline import Sampled
@@ -35,7 +36,7 @@ def tolerance(text: str) -> tuple[str, float]:
 def share(text: str) -> float:
     """A share between 0 and 1. Raises ArgumentTypeError"""
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
         value = 0.0
     if not 0.5 <= value <= 0.9999:
@@ -46,7 +47,7 @@ def share(text: str) -> float:
 def relative(text: str) -> float:
     """A relative uncertainty. Raises ArgumentTypeError"""
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
         value = -1.0
     if not 0 <= value < 0.1:

@@ -35,17 +35,18 @@ def arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> None:
     """Say which side the markers really have, and what to write into rig.toml."""
-    import cv2
-
     from rig import design_file
+    from rig.exposures import read_image
+    from rig.images import MOST_OF_A_PHOTOGRAPH
     from vision import printed
 
     design = design_file.load(arguments.design)
     if not arguments.photo.is_file():
         raise FileError(arguments.photo, "no such file")
-    image = cv2.imread(str(arguments.photo), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise FileError(arguments.photo, "is no picture that can be read (cut off?)")
+    try:
+        image = read_image(arguments.photo, MOST_OF_A_PHOTOGRAPH)
+    except FileError as error:
+        raise FileError(arguments.photo, f"is no picture that can be read (cut off?): {str(error).removeprefix(error.path).lstrip(': ')}") from None
     if arguments.ruler is not None:
         found = printed.by_ruler(image, design, *arguments.ruler)
     else:
@@ -92,7 +93,7 @@ def _sheet(text: str) -> tuple[float, float, float]:
 
 
 def _ruler(text: str) -> tuple[np.ndarray, float]:
-    found = re.fullmatch(r"([\d.]+),([\d.]+),([\d.]+),([\d.]+)=(.+)", text)
+    found = re.fullmatch(r"([0-9.]+),([0-9.]+),([0-9.]+),([0-9.]+)=(.+)", text)
     if found is None:
         raise ArgumentTypeError(f"takes two places and the length between them, as 210,340,1890,352=100mm, not {text!r}")
     import numpy as np

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rig.commands import own_effects, readings
 from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError, Unreachable
+from rig.number import numbers
 
 if TYPE_CHECKING:
     import numpy as np
@@ -137,7 +138,7 @@ def _start(text: str, calibration: Calibration) -> np.ndarray:
     if text == "home":
         return mechanisms.of(nominal).home(nominal)
     try:
-        values = np.array([float(word) for word in text.split(",")])
+        values = np.array(numbers(text.split(",")))
     except ValueError:
         values = np.zeros(0)
     if values.shape != (len(nominal.axes),) or not np.isfinite(values).all():

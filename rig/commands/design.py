@@ -3,6 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from rig.commands.output import add_force, file_or_stdout
+from rig.number import number, whole
 
 
 def arguments(parser: ArgumentParser) -> None:
@@ -13,12 +14,12 @@ def arguments(parser: ArgumentParser) -> None:
                         "panda, stanford, scara, gantry")
     parser.add_argument("--seen", choices=("cubes", "hand"), help="of an arm: by cameras, in place of an instrument: with cubes in its hand before "
                         "fixed cameras, or with the cameras in its hand before cubes that stand")
-    parser.add_argument("--radius", type=float, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance")
-    parser.add_argument("--cameras", type=int, default=3)
-    parser.add_argument("--cubes", type=int, default=4, help="on the base, and as many on the platform")
+    parser.add_argument("--radius", type=number, metavar="M", help="of a hexapod's circle of base joints, m; of planar2 half the joints' distance")
+    parser.add_argument("--cameras", type=whole, default=3)
+    parser.add_argument("--cubes", type=whole, default=4, help="on the base, and as many on the platform")
     parser.add_argument("--size", default="1280x1024", metavar="WxH", help="of the images, px")
     parser.add_argument("--dictionary", default="DICT_5X5_100")
-    parser.add_argument("--limbs", nargs="?", type=int, const=6, default=0, metavar="N", help="with N measuring limbs beside the struts (six where "
+    parser.add_argument("--limbs", nargs="?", type=whole, const=6, default=0, metavar="N", help="with N measuring limbs beside the struts (six where "
                         "no N is given; more are checks)")
     parser.add_argument("--name", help="of the rig, by default its kind of machine")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
+from rig.number import number, numbers, whole
 
 if TYPE_CHECKING:
     from rig.clock import Clock
@@ -28,14 +29,14 @@ def arguments(parser: ArgumentParser) -> None:
                              "--fault list names them")
     parser.add_argument("--tcp", metavar="[HOST:]PORT", help="listen there instead of at a pseudo-terminal (port 0: any; host 127.0.0.1)")
     parser.add_argument("--link", metavar="PATH", type=Path, help="keep a symbolic link pointing at the pseudo-terminal")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
+    parser.add_argument("--speed", type=number, default=1.0, metavar="N", help="struts N times as fast as [controller] states (default 1)")
     parser.add_argument("--start", metavar="L1,L2,..", help="where the struts stand at first, m (default: home)")
     parser.add_argument("--history", metavar="FILE", type=Path, help="write what the struts were truly told, as commands.csv, as it happens")
     parser.add_argument("--cameras", metavar="[HOST:]PORT", help="draw what the cameras see and answer for the sensors there (port 0: any); "
                         'rig.toml: source = "emulator:HOST:PORT", [sensors] port = "socket://HOST:PORT", ask = "sensors"')
     parser.add_argument("--truth", metavar="FILE", type=Path, help="the machine, its cameras and effects as rig simulate --truth wrote them, "
                         "for --cameras (default: all is as RIG.toml says)")
-    parser.add_argument("--seed", type=int, default=0, help="of the faults, the temperatures and the noise of images")
+    parser.add_argument("--seed", type=whole, default=0, help="of the faults, the temperatures and the noise of images")
 
 
 def run(arguments: Namespace) -> None:
@@ -59,8 +60,8 @@ def run(arguments: Namespace) -> None:
     followed = arguments.history or (Path(kept.name) / "history.csv" if arguments.cameras else None)
     history = emulators.History(emulator, followed) if followed else None
     cameras = _cameras(arguments, followed) if followed and arguments.cameras else None
-    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
-        signal.signal(number, signal.default_int_handler)
+    for ending in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(ending, signal.default_int_handler)
     try:
         serve.serve(emulator, wire, lambda: True, _say, history.record if history else lambda: None)
     except KeyboardInterrupt:
@@ -102,7 +103,7 @@ def built(arguments: Namespace, clock: Clock) -> Emulator:
     start = None
     if arguments.start:
         try:
-            start = np.array([float(word) for word in arguments.start.split(",")])
+            start = np.array(numbers(arguments.start.split(",")))
         except ValueError:
             raise RigError(f"--start takes numbers in m joined by commas, not {arguments.start!r}") from None
     return emulators.of(design, faults, clock, start, arguments.speed)

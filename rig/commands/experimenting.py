@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, Progress
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     from calib.experiment.choose import Experiment
@@ -25,7 +26,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add --next, how long it may take and what it may do."""
     parser.add_argument("--next", metavar="FILE", type=Path, help="write the plan of the experiment that would best tell apart what is "
                         "still alike (frame,t,payload_mass_kg,l1..l6; `rig simulate --plan commands:FILE` tries it); next.json says its chance")
-    parser.add_argument("--minutes", metavar="MIN", type=float, default=60.0, help="for --next: that the experiment may take (default 60)")
+    parser.add_argument("--minutes", metavar="MIN", type=number, default=60.0, help="for --next: that the experiment may take (default 60)")
     parser.add_argument("--may", action="append", metavar="payload|wait|'turn cube NAME'", help="for --next: what may be asked of an operator, in "
                         "place of what rig.toml says under [experiment]; may be given again")
     parser.add_argument("--standing", action="store_true", help="for --next: only plans at whose exposures the struts stand, as rig run takes them")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError
+from rig.number import number, whole
 
 if TYPE_CHECKING:
     from rig.design import Arm, Hexapod
@@ -31,11 +32,11 @@ def arguments(parser: ArgumentParser) -> None:
                         "`rig measure` wrote")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="written here, or printed")
     parser.add_argument("--units", choices=("mm", "m"), default="mm", help="machine units of genhexkins (default mm)")
-    parser.add_argument("--coupling", type=float, default=0.0, metavar="GAIN",
+    parser.add_argument("--coupling", type=number, default=0.0, metavar="GAIN",
                         help="of genhexkins: share of the cardans' twist that turns the screws")
-    parser.add_argument("--lead", type=float, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
+    parser.add_argument("--lead", type=number, metavar="M", help="of genhexkins: the screws' lead, m per revolution, for "
                         "--coupling (default [actuator] screw_lead of a rig.toml)")
-    parser.add_argument("--parts", type=int, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)")
+    parser.add_argument("--parts", type=whole, metavar="Q", help="of linuxcnc-comp and grid: parts of each actuator's interval (default 64, and 3)")
     add_force(parser)
     add_result(parser)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -158,7 +159,7 @@ def _parts(text: str | None, mechanism: Struts) -> tuple[Part | None, Part | Non
         name, _, span = word.strip().partition("=")
         low, colon, high = span.partition(":")
         try:
-            pair = float(low or "-inf"), float(high or "inf")
+            pair = number(low) if low else -np.inf, number(high) if high else np.inf
         except ValueError:
             pair = np.nan, np.nan
         at = [(k, names.index(name)) for k, names in enumerate(spaces) if name in names]

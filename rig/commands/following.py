@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import Progress, print_unsolved
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,9 +29,9 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the choice of a learner, and each one's setting."""
     parser.add_argument("--learner", choices=(WATCHING, *SETTINGS), default=WATCHING, help="filter (the default) names what jumped; forgetting: "
                         "least squares that forget along what is told; drifting: parameters that wander; first-order: gradient steps, no covariance")
-    parser.add_argument("--kept", type=float, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
-    parser.add_argument("--drift", type=float, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
-    parser.add_argument("--step", type=float, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
+    parser.add_argument("--kept", type=number, metavar="SHARE", help="of forgetting: share of what was known that a pose leaves (default 0.99)")
+    parser.add_argument("--drift", type=number, metavar="M", help="of drifting: how far a parameter wanders from pose to pose (default 1e-7 m)")
+    parser.add_argument("--step", type=number, metavar="M", help="of first-order: how far a parameter may have to go (default 1e-3 m)")
 
 
 def refuse_settings(arguments: Namespace) -> None:

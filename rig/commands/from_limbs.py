@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.errors import RigError
+from rig.number import whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,7 +28,7 @@ def arguments(parser: ArgumentParser) -> None:
     """Add the source of poses to a command that takes vision's by default."""
     parser.add_argument("--limbs", metavar="FILE", type=Path, help="poses from measuring limbs that `rig insitu` accepted and saved here; "
                         "vision checks some, and the acceptance is withdrawn where they no longer agree")
-    parser.add_argument("--check", type=int, metavar="N", help=f"with --limbs: vision looks at every Nth pose at least (default {EVERY})")
+    parser.add_argument("--check", type=whole, metavar="N", help=f"with --limbs: vision looks at every Nth pose at least (default {EVERY})")
 
 
 def refuse_check(arguments: Namespace) -> int:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rig.commands import own_effects
 from rig.commands.output import add_port, add_result
 from rig.errors import RigError
+from rig.number import number, numbers
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -28,7 +29,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--pose", metavar="X,Y,Z,RX,RY,RZ", required=True, help="platform in base: m, and a rotation vector in rad")
     parser.add_argument("--uncorrected", action="store_true", help="command what the owner's model says, for comparison")
     parser.add_argument("--dry-run", action="store_true", help="say what would be commanded, and move nothing")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
+    parser.add_argument("--speed", type=number, default=1.0, metavar="SHARE", help="of the struts' greatest speed (default 1)")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
     own_effects.argument(parser)
     add_port(parser)
@@ -96,7 +97,7 @@ def pose_of(text: str) -> RigidTransform:
     from rig.pose import pose
 
     try:
-        values = np.array([float(word) for word in text.split(",")])
+        values = np.array(numbers(text.split(",")))
     except ValueError:
         values = np.zeros(0)
     if values.shape != (6,) or not np.isfinite(values).all():

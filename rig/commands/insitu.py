@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rig.commands import online
 from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser, "with columns m1..mn (m), six or more, in sensors.csv and [insitu] in rig.toml")
-    parser.add_argument("--tolerance", nargs=2, type=float, default=(5e-5, 2e-4), metavar=("M", "RAD"),
+    parser.add_argument("--tolerance", nargs=2, type=number, default=(5e-5, 2e-4), metavar=("M", "RAD"),
                         help="that each axis must agree with vision within (default 5e-5 m and 2e-4 rad)")
     parser.add_argument("--use", metavar="LIMBS", help="of more limbs than six those that tell the pose, as m1,m2,m4,m5,m7,m8, the others being "
                         "checks; by default the six that tell it best")

@@ -12,6 +12,7 @@ from rig.commands.finishing import finish
 from rig.commands.output import SEED, add_result
 from rig.commands.trying import Rig, Waiting
 from rig.errors import RigError
+from rig.number import whole
 
 if TYPE_CHECKING:
     from calib.experiment.record import Look
@@ -25,7 +26,7 @@ STATE = "investigation.json"
 
 def budget(text: str) -> float:
     """min of a time as written, 2h or 90min. Raises ArgumentTypeError for anything else"""
-    found = re.fullmatch(r"(\d{1,4}(?:\.\d{1,3})?)(h|min)", text)
+    found = re.fullmatch(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)(h|min)", text)
     value = float(found[1]) * (60 if found[2] == "h" else 1) if found else 0.0
     if not 0 < value <= 6000:
         raise ArgumentTypeError(f"{text!r} must be a time of the rig above 0 and up to 100h, as 2h or 90min")
@@ -43,8 +44,8 @@ def arguments(parser: ArgumentParser) -> None:
     who.add_argument("--by-hand", action="store_true", help="somebody does the moves: each plan is written and waited for")
     parser.add_argument("--plan", help=f"the first one (default {FIRST}, and {LOADED} where rig.toml allows a payload; where the "
                         f"struts must stand {STANDING})")
-    parser.add_argument("--seed", type=int, default=SEED, help="of plans, and of a simulated machine's noise")
-    parser.add_argument("--verify", metavar="N", type=int, default=60, help="new poses by which the calibration is verified (default 60, which a "
+    parser.add_argument("--seed", type=whole, default=SEED, help="of plans, and of a simulated machine's noise")
+    parser.add_argument("--verify", metavar="N", type=whole, default=60, help="new poses by which the calibration is verified (default 60, which a "
                         "certificate takes)")
     parser.add_argument("--port", help="where the controller is, instead of what [controller] says")
     parser.add_argument("--settle", default="time:1", metavar="HOW", help="as for rig run")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_driving
 from rig.errors import PositionLost, RigError
+from rig.number import number, numbers, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,11 +16,11 @@ if TYPE_CHECKING:
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_driving(parser)
-    parser.add_argument("--strut", type=int, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
+    parser.add_argument("--strut", type=whole, action="append", metavar="N", help="1.. (may be repeated; by default all of them)")
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--by", type=float, metavar="MM", help="longer by so much")
+    where.add_argument("--by", type=number, metavar="MM", help="longer by so much")
     where.add_argument("--to", metavar="MM,MM,..", help="to these lengths, one for every strut")
-    parser.add_argument("--speed", type=float, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
+    parser.add_argument("--speed", type=number, default=0.25, metavar="SHARE", help="of the struts' greatest speed (default 0.25)")
     parser.add_argument("--unlock", action="store_true", help="clear the controller's alarm first; its position is then believed with --trust only")
     parser.add_argument("--trust", action="store_true", help="believe the position that the controller reads, though it was not homed")
 
@@ -56,7 +57,7 @@ def _lengths(text: str, count: int) -> np.ndarray:
     import numpy as np
 
     try:
-        values = np.array([float(word) for word in text.split(",")]) * 1e-3
+        values = np.array(numbers(text.split(","))) * 1e-3
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():

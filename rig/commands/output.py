@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rig.commands.progress_shown import Progress
 from rig.errors import MissingLibrary, RigError
 from rig.files import STANDARD_OUTPUT
+from rig.number import number
 
 if TYPE_CHECKING:
     from calib.certify.certificate import HeldOut
@@ -108,7 +109,7 @@ def length(text: str) -> float:
     for unit, scale in (("um", 1e-6), ("mm", 1e-3), ("m", 1.0)):
         if text.endswith(unit):
             try:
-                value = float(text.removesuffix(unit)) * scale
+                value = number(text.removesuffix(unit)) * scale
             except ValueError:
                 break
             if 0 < value < float("inf"):
@@ -120,10 +121,10 @@ def length(text: str) -> float:
 def numbers(texts: list[str], count: int, option: str) -> list[float]:
     """So many numbers of an option's words, apart by commas or spaces. Raises RigError for anything else"""
     try:
-        found = [float(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
+        found = [number(word) for word in re.split(r"[,\s]+", " ".join(texts).strip(", "))]
     except ValueError:
         found = []
-    if len(found) != count or not all(abs(number) < 1e6 for number in found):
+    if len(found) != count or not all(abs(value) < 1e6 for value in found):
         raise RigError(f"{option} takes {count} numbers, apart by commas or spaces, not {' '.join(texts)!r}")
     return found
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.commands.output import SEED, Progress, add_force, add_page, add_result, file_or_stdout, length, near, place_of_page
 from rig.errors import RigError
+from rig.number import number, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,11 +32,11 @@ def arguments(parser: ArgumentParser) -> None:
                        "RMS over its workspace; beside those --given the next best ones, in the order in which they help")
     asked.add_argument("--parts", metavar="PARTS", help="parts of a plan as for rig simulate --plan, at whose exposures the struts stand, written as "
                        "configurations: axes:5,combined:4 goes along and about X, Y and Z, and turns while it moves along each")
-    parser.add_argument("--count", type=int, default=60, help="configurations to choose (default 60)")
+    parser.add_argument("--count", type=whole, default=60, help="configurations to choose (default 60)")
     parser.add_argument("--criterion", choices=("determinant", "noise"), default="determinant",
                         help="smallest volume of uncertainty (default), or smallest amplification of noise")
     parser.add_argument("--given", metavar="PATH", type=Path, help="what is visited already: a recording, or a table frame,l1..l6")
-    parser.add_argument("--sigma", nargs=2, type=float, default=(1e-5, 1e-4), metavar=("M", "RAD"),
+    parser.add_argument("--sigma", nargs=2, type=number, default=(1e-5, 1e-4), metavar=("M", "RAD"),
                         help="standard deviation of a measured pose, per axis (default 1e-5 1e-4)")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="take the geometry from here, not from RIG.toml, and "
                         "leave out configurations whose poses the corrected machine does not reach")

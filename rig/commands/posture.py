@@ -11,6 +11,7 @@ from rig.commands import exerting
 from rig.commands.output import SEED, add_force, add_json, file_or_stdout, numbers, print_json
 from rig.errors import RigError
 from rig.files import write_text
+from rig.number import number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,12 +36,12 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--moment", nargs="+", action="extend", default=[], metavar="AXIS", help="x, y or z: directions of moment that count")
     parser.add_argument("--norm", choices=("2", "inf"), default="2", help="of a direction's column of the transposed Jacobian")
     parser.add_argument("--whole", choices=("det", "norm"), default="det", help="with no direction chosen: det(J J^T) or the norm of J^T")
-    parser.add_argument("--above", type=float, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
+    parser.add_argument("--above", type=number, metavar="LIMIT", help="stop as soon as the measure exceeds this (0: as long as it is not zero)")
     parser.add_argument("--hold", choices=("pose", "position", "orientation"), default="pose", help="what of the hand stays")
     exerting.arguments(parser)
     parser.add_argument("--from", dest="start", nargs="+", metavar="Q", help="joint angles now, rad; by default a solution of the pose")
     parser.add_argument("--motion", choices=("end", "way"), default="end", help="take the posture when the hand has arrived, or on its way")
-    parser.add_argument("--speed", type=float, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
+    parser.add_argument("--speed", type=number, default=0.5, metavar="RAD/S", help="of the fastest joint, for --out")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="commands.csv of the motion into the posture")
     add_force(parser, "--overwrite")
     add_json(parser)

@@ -7,6 +7,8 @@ import threading
 import time
 from typing import Any, ClassVar
 
+from rig.commands.escaped import controls
+
 EVERY = 5.0  # s between two lines, and before the first
 
 
@@ -37,7 +39,7 @@ class Progress:
         if label != self.label:
             self.close()
             wait = max(self.from_then - time.monotonic(), 0.0)
-            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=sys.stderr, delay=wait), label
+            self.bar, self.label = tqdm(total=of, desc=label, disable=None, leave=False, file=controls(sys.stderr), delay=wait), label
             if wait and not self.bar.disable:  # a bar of its own accord shows only once something is done
                 self.timer = threading.Timer(wait, _show, (self.bar,))
                 self.timer.daemon = True
@@ -71,7 +73,7 @@ def compiling() -> None:
     if Progress.shown == "lines" or Progress.shown == "auto" and sys.stderr.isatty():
         from tqdm import tqdm
 
-        tqdm.write("compiling for this computer, once: up to a minute", file=sys.stderr)
+        tqdm.write("compiling for this computer, once: up to a minute", file=controls(sys.stderr))
 
 
 def line(label: str, done: int, of: int, gone: float) -> str:

@@ -15,6 +15,7 @@ from rig.commands.output import SEED, add_driving
 from rig.advice import TRUST
 from rig.errors import PositionLost, RigError
 from rig.files import write_bytes
+from rig.number import number, whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,7 +34,7 @@ def arguments(parser: ArgumentParser) -> None:
     add_driving(parser)
     parser.add_argument("--plan", required=True, help="as for rig simulate, of parts at whose exposures the struts stand: "
                         "sobol:40,ladder,repeat:20, or commands:FILE (frame,l1..l6 as rig correct and rig plan --for write it)")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the plan")
+    parser.add_argument("--seed", type=whole, default=SEED, help="of the plan")
     parser.add_argument("--out", metavar="REC", type=Path, required=True, help="the recording; a new folder, or with --resume the one to go on with")
     parser.add_argument("--resume", action="store_true", help="go on with REC from where the struts stand")
     parser.add_argument("--dry-run", action="store_true", help="check the plan, say what would be done, and move nothing")
@@ -43,11 +44,11 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--exposure", metavar="SECONDS", help="of all cameras; by default so that markers are bright and do not clip; "
                         '"keep" leaves them as they are')
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="what poses are expected, and held against for drift")
-    parser.add_argument("--tolerance", nargs=2, type=float, metavar=("M", "RAD"), help="drift from the calibration that is said")
+    parser.add_argument("--tolerance", nargs=2, type=number, metavar=("M", "RAD"), help="drift from the calibration that is said")
     parser.add_argument("--stop-on", default="", metavar="WHAT,..", help=f"end the run on {', '.join(KINDS)}; by default they are only said")
     parser.add_argument("--no-measure", action="store_true", help="take images only")
     from_limbs.arguments(parser)
-    parser.add_argument("--page", nargs="?", type=int, const=0, metavar="PORT",
+    parser.add_argument("--page", nargs="?", type=whole, const=0, metavar="PORT",
                         help="show the run on a page of this computer, with a button to stop it")
 
 
@@ -88,7 +89,7 @@ def _options(arguments: Namespace) -> tuple[float | str | None, frozenset[str]]:
     exposure = arguments.exposure
     if exposure not in (None, "keep"):
         try:
-            exposure = float(exposure)
+            exposure = number(exposure)
         except ValueError:
             exposure = 0.0
         if not 0 < exposure <= 10:

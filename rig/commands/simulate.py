@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rig.commands import own_effects
 from rig.commands.output import Progress, add_force
 from rig.errors import RigError
+from rig.number import number, whole
 
 if TYPE_CHECKING:
     from rig.design import Sensor
@@ -31,21 +32,21 @@ def arguments(parser: ArgumentParser) -> None:
                         "turn:CUBE (before all others: that cube is put back turned by a quarter turn), commands:FILE; or standard (the default)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME:PLACE:PARAMETER=VALUE,..", help="left-out physics; may be repeated")
     own_effects.argument(parser)
-    parser.add_argument("--noise", type=float, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
+    parser.add_argument("--noise", type=number, default=0.04, metavar="PX", help="of corners, standard deviation (default 0.04)")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--images", action="store_true", help="draw images (needs OpenGL)")
     kind.add_argument("--corners", action="store_true", help="write corners.csv (the default)")
-    parser.add_argument("--seed", type=int, default=0, help="of the secret machine, the temperatures and the noise")
-    parser.add_argument("--secret", type=float, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
+    parser.add_argument("--seed", type=whole, default=0, help="of the secret machine, the temperatures and the noise")
+    parser.add_argument("--secret", type=number, default=1.0, metavar="SIZE", help="size of the geometry's and cameras' errors (default 1)")
     parser.add_argument("--machine", type=Path, metavar="TRUTH", help="take the machine, its cameras and effects from this truth file")
     parser.add_argument("--sensors", metavar="FILE", type=Path, help="sensors.csv of temperatures and payload as they are, in place of drawn ones")
     parser.add_argument("--out", metavar="REC", type=Path, required=True)
     parser.add_argument("--truth", metavar="FILE", type=Path, help="write the truth here (JSON)")
     parser.add_argument("--background", choices=("plain", "cluttered"), default="plain")
-    parser.add_argument("--compression", type=int, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
+    parser.add_argument("--compression", type=whole, default=1, choices=range(10), metavar="0..9", help="of the PNG files (default 1)")
     add_force(parser)
     for name, text in SENSOR.items():
-        parser.add_argument("--" + name.replace("_", "-"), type=int if name in ("bits", "exposures") else float, help=text)
+        parser.add_argument("--" + name.replace("_", "-"), type=whole if name in ("bits", "exposures") else number, help=text)
 
 
 def run(arguments: Namespace) -> None:

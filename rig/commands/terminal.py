@@ -5,7 +5,9 @@ from typing import TextIO
 
 import numpy as np
 
+from rig.commands.escaped import controls
 from rig.commands.looking import Seen, View
+from rig.outside import visible
 from rig.pose import vector
 
 WIDTH = 30  # of a strut's bar
@@ -44,11 +46,11 @@ class Block:
     """A block of lines on a terminal that knows ANSI's movements."""
 
     def __init__(self, out: TextIO | None = None) -> None:
-        self._out, self._height = out or sys.stdout, 0
+        self._out, self._height = controls(out or sys.stdout), 0
 
     def show(self, view: View) -> None:
         """Draw the block anew over the one before."""
-        lines = block(view)
+        lines = [visible(line).replace("\n", "\\n") for line in block(view)]
         up = f"\x1b[{self._height}A" if self._height else ""
         self._out.write(up + "".join(f"\x1b[2K{line}\n" for line in lines) + "\x1b[J")
         self._out.flush()

@@ -7,19 +7,20 @@ from pathlib import Path
 
 from rig.commands.output import Progress, add_force, add_recording, file_or_stdout, near, read_recording
 from rig.errors import RigError
+from rig.number import number, whole
 
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     add_recording(parser)
     shown = parser.add_mutually_exclusive_group(required=True)
-    shown.add_argument("--frame", type=int, help="draw what was read in this frame")
+    shown.add_argument("--frame", type=whole, help="draw what was read in this frame")
     shown.add_argument("--page", metavar="FILE", type=Path, help="a page with the rig in three dimensions, its poses played; needs no network")
     shown.add_argument("--rerun", metavar="FILE.rrd", type=Path, help="all frames, for the viewer Rerun (`rerun FILE.rrd`)")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="for --frame, a picture, written here; without it one named after the "
                         "recording is written in the folder where you are, and shown")
     add_force(parser)
-    parser.add_argument("--enlarge", type=float, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)")
+    parser.add_argument("--enlarge", type=number, default=200.0, help="for --frame, how much longer than they are residuals are drawn (default 200)")
     parser.add_argument("--effect", metavar="EFFECT", action="append", default=[], help="for --page, what this effect would do to the poses, at "
                         "several sizes; as for rig simulate; may be given again")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import SEED, Progress, add_force, add_json, add_page, near, place_of_page, print_json
 from rig.errors import RigError
+from rig.number import whole
 
 if TYPE_CHECKING:
     from calib.drift.evidence import Verdict
@@ -26,7 +27,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--skip-unreadable", action="store_true", help="leave out images that cannot be used")
     parser.add_argument("--plan", action="store_true", help="choose what a visit visits, instead of looking at visits")
     parser.add_argument("--rig", metavar="RIG.toml", type=Path, help="for --plan: whose platform and gravity tell what a load does")
-    parser.add_argument("--count", type=int, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
+    parser.add_argument("--count", type=whole, default=POSES, help=f"for --plan: poses of a visit (default {POSES})")
     add_page(parser)
     parser.add_argument("--out", metavar="FILE", type=Path, help="for --plan: frame,l1..l6; `rig run RIG.toml --plan commands:FILE` visits them")
     add_force(parser)

@@ -11,6 +11,7 @@ from typing import Any
 from rig import cluster
 from rig.commands.output import Progress
 from rig.errors import RigError
+from rig.number import whole
 from rig.processes import cores, end_waiting, workers
 
 MOST = 1024  # processes
@@ -19,7 +20,7 @@ MOST = 1024  # processes
 def add_workers(parser: ArgumentParser) -> None:
     """Let a command be told who works for it."""
     group = parser.add_argument_group("who does the work; results are the same to the last byte")
-    group.add_argument("--workers", "--jobs", dest="workers", type=int, metavar="N", help="processes at a time on this computer (default all cores)")
+    group.add_argument("--workers", "--jobs", dest="workers", type=whole, metavar="N", help="processes at a time on this computer (all cores)")
     group.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster (tcp://HOST:PORT) whose workers have rig and see the same "
                        "folders: they read images, draw and diagnose; needs the extra rig[cluster]")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError
+from rig.number import number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,9 +26,9 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("arm", metavar="ARM.toml", help="a rig.toml with an arm and [dynamics], or the name of a shipped one, as panda")
     parser.add_argument("torques", metavar="torques.csv", type=Path, help="t, q1.., tau1.. (Nm, what the joints exert) or i1.. (A of the motors), "
                         "and v1.. (rad/s) where speeds were read")
-    parser.add_argument("--sigma", nargs=3, type=float, metavar=("NM", "RAD", "RAD/S"), help="standard deviations of a torque, an angle and a speed "
+    parser.add_argument("--sigma", nargs=3, type=number, metavar=("NM", "RAD", "RAD/S"), help="standard deviations of a torque, an angle and a speed "
                         "as read, in place of what [dynamics] states")
-    parser.add_argument("--rate", nargs=2, type=float, metavar=("N", "NM"), help="by how much force and moment wander in a second (standard "
+    parser.add_argument("--rate", nargs=2, type=number, metavar=("N", "NM"), help="by how much force and moment wander in a second (standard "
                         "deviation); by default as is likeliest")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, help="wrench.csv: both estimates with their covariance, in time")
     add_force(parser)

@@ -14,6 +14,7 @@ from rig.effects.check import check
 from rig.effects.places import spelt, staged
 from rig.entries import NAME, slip
 from rig.errors import RigError
+from rig.number import number
 from rig.outside import shown
 
 
@@ -37,7 +38,7 @@ def parse(text: str, known: Kinds = BY_NAME) -> Effect:
         if not equals or key not in own:
             raise RigError(f"effect {shown(text)}: {shown(assignment)} is no PARAMETER=VALUE; {name} has {', '.join(own)}")
         try:
-            numbers = tuple(float(part) for part in value.split("/"))
+            numbers = tuple(number(part) for part in value.split("/"))
         except ValueError:
             raise RigError(f"effect {shown(text)}: {shown(value)} is no number") from None
         values[key] = numbers if own[key].size != 1 else numbers[0]

@@ -17,7 +17,12 @@ PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write a text file (UTF-8), whole or not at all; raises as `write_bytes` does."""
-    write_bytes(path, text.encode("utf-8"))
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise FileError(path, f"cannot be written: it would hold {text[max(error.start - 30, 0) : error.end]!r}, a name that is no UTF-8; "
+                              "rename that file or folder") from None
+    write_bytes(path, data)
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from rig.entries import Entries
 from rig.errors import FileError, RigError
+from rig.number import number
 from rig.outside import read_text, shown
 from rig.toml_positions import positions
 
@@ -144,7 +145,7 @@ def _set(tree: dict, settings: tuple[str, ...]) -> None:
         inner[last] = value
         if last in NUMBERS:
             try:
-                inner[last] = float(value)
+                inner[last] = number(value)
             except ValueError:
                 raise RigError(f"--set {key} takes a number, not {shown(value)}") from None
 

@@ -10,6 +10,7 @@ from calib import store
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import certify, promised
 from rig.errors import FileError
+from rig.json_positions import Places, doubled
 from rig.mechanisms import hexapod
 from tests.calib.correct.test_correction import wavy
 from tests.calib.worlds import sampled, workspace
@@ -71,3 +72,59 @@ def test_what_is_no_calibration_is_refused(calibration, tmp_path, spoil, says):
 def test_a_missing_file_is_said(tmp_path):
     with pytest.raises(FileError, match="no such file"):
         store.load(tmp_path / "typo.json")
+
+
+def edited(path, **changes):
+    """A saved calibration with values put elsewhere; the keys of changes are paths joined by two underscores."""
+    tree = json.loads(path.read_text())
+    for name, value in changes.items():
+        *above, last = (int(part) if part.isdigit() else part for part in name.split("__"))
+        at = tree
+        for part in above:
+            at = at[part]
+        at[last] = value
+    path.write_text(json.dumps(tree, indent=1))
+
+
+@pytest.mark.parametrize("changes, says, key", [
+    ({"units": "mm, deg, s; covariances in their products"}, "units is 'mm, deg.* where this rig reads 'm, rad", "units"),
+    ({"frames": store.FRAMES.replace("on the right", "on the left")}, "frames is .*on the left.*nothing is converted", "frames"),
+    ({"parameter_order": "platform joints 1..6 (x y z), base joints 1..6 (x y z), strut zeros 1..6"}, "parameter_order is 'plat",
+     "parameter_order"),
+    ({"schema": "calibration/2"}, "physics is missing, and a file of schema 'calibration/2' has it", "schema"),
+    ({"schema": "calibration/3"}, "pose_maps is missing", "schema"),
+    ({"physics": {}}, "physics is there, and a file of schema 'calibration/1' has none", "physics"),
+    ({"pose_maps": []}, "pose_maps is there", "pose_maps"),
+    ({"nominal__strut_range__2": [-3.0, 40.0]}, r"nominal.strut_range\[3\] must be positive and run from small.*, not -3 .. 40 m", "strut_range"),
+    ({"nominal__strut_range__2": [0.6, 0.4]}, r"strut_range\[3\] must be positive", "strut_range"),
+    ({"nominal__strut_range__2": [20.0, 40.0]}, "home needs strut 3 at .* outside its strut_range 20 .. 40", "home"),
+    ({"fitted__strut_range__2": [0.1, 40.0]}, r"fitted.strut_range\[3\] is \[0.1, 40.0\] m and nominal.strut_range\[3\]", "strut_range"),
+    ({"fitted__strut_zeros__1": 30.0}, r"fitted.strut_zeros\[2\] = 30 m is more than the strut's greatest length", "strut_zeros"),
+    ({"nominal__base_joints__0": [291.0, 72.0, 0.0]}, "metres", "base_joints"),
+])
+def test_a_file_that_means_something_else_is_refused_with_its_line(calibration, tmp_path, changes, says, key):
+    path = tmp_path / "c.json"
+    store.save(path, calibration)
+    edited(path, **changes)
+    with pytest.raises(FileError, match=says) as caught:
+        store.load(path)
+    lines = path.read_text().splitlines()
+    assert any(f'"{key}"' in line for line in lines[max(caught.value.line - 20, 0) : caught.value.line])
+
+
+def test_a_key_that_is_there_twice_is_refused_with_the_line_of_the_second(calibration, tmp_path):
+    path = tmp_path / "c.json"
+    store.save(path, calibration)
+    text = path.read_text()
+    path.write_text(text.replace('"strut_zeros": [', '"strut_zeros": [0, 0, 0, 0, 0, 0],\n  "strut_zeros": [', 1))
+    with pytest.raises(FileError, match="key 'strut_zeros' is there twice in one table") as caught:
+        store.load(path)
+    assert path.read_text().splitlines()[caught.value.line - 1].startswith('  "strut_zeros": [') and caught.value.line > 1
+
+
+def test_places_of_a_json_text_are_those_of_its_values():
+    text = '{"a": [1, {"b\\n": "x,]}"},\n  [], -2.5e3], "c": null}'
+    found = Places(text)
+    assert found[("a",)] == (1, 7) and found[("a", 1, "b\n")] == (1, 19) and found[("a", 2)] == (2, 3) and found[("a", 3)] == (2, 7)
+    assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 7
+    assert doubled('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7)) and doubled(text) is None

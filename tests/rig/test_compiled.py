@@ -14,6 +14,11 @@ from rig.commands.progress_shown import Progress, compiling
 from tests.conftest import ROOT
 
 
+def forget():
+    for found in (compiled.kernel_folder, compiled.own_folder, compiled.is_private):
+        found.cache_clear()
+
+
 @pytest.fixture
 def locked(monkeypatch, tmp_path):
     """An installation that cannot be written, and temporary files in tmp_path."""
@@ -21,9 +26,9 @@ def locked(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_relative_to(compiled.HERE) and writable(path, mode))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    compiled.kernel_folder.cache_clear()
+    forget()
     yield
-    compiled.kernel_folder.cache_clear()
+    forget()
 
 
 def test_a_home_is_used_where_there_is_one(locked, monkeypatch, tmp_path):
@@ -45,9 +50,49 @@ def test_without_a_home_a_folder_of_ones_own(planted, locked, monkeypatch, tmp_p
     found = compiled.kernel_folder()
     assert (found == folder) == (planted is None) and not found.is_symlink() and found.stat().st_mode & 0o077 == 0
     assert f"is kept in {found}" in capsys.readouterr().err
-    compiled.kernel_folder.cache_clear()
+    forget()
     if planted is None:
         assert compiled.kernel_folder() == folder and not capsys.readouterr().err  # said once
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o707])
+def test_a_folder_to_which_others_can_write_is_not_taken(mode, locked, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    theirs = tmp_path / "theirs"
+    (theirs / "below").mkdir(parents=True)
+    theirs.chmod(mode)
+    own = tmp_path / "home" / ".cache" / "rig"
+    assert compiled.trusted_folder(theirs) == own and own.stat().st_mode & 0o077 == 0
+    assert compiled.is_private(theirs / "below") == (mode == 0o775), "who can write above can put another folder in its place"
+    forget()
+    own.chmod(mode)
+    assert compiled.trusted_folder(theirs) == tmp_path / f"rig-kernels-{os.getuid()}"
+    assert f"others can write to {theirs}, and {own.parent} can be written to by others" in capsys.readouterr().err
+
+
+def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
+    forget()
+    assert compiled.is_private(tmp_path) and compiled.is_private(tmp_path / "new" / "folder")
+    forget()
+    owner = tmp_path.stat().st_uid
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    assert compiled.is_private(tmp_path) == (owner == 0)
+    forget()
+
+
+@pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])
+def test_no_kernel_is_loaded_from_where_others_can_write(open_one, tmp_path):
+    shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
+    theirs = tmp_path / "rig" / "effects" / "__pycache__" if open_one == "__pycache__" else tmp_path / "theirs"
+    theirs.mkdir()
+    theirs.chmod(0o777)
+    code = "from rig.effects import play; import numpy as np; print(play.play(np.ones((3, 1)), 0.5).sum())"
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(tmp_path), "HOME": str(tmp_path / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
+    if open_one == "NUMBA_CACHE_DIR":
+        environment[open_one] = str(theirs)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 0 and done.stdout == "3.0\n", done.stderr
+    assert not list(theirs.rglob("*.nb?")) and list((tmp_path / "home" / ".cache" / "rig").rglob("*.nbi"))
 
 
 @pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="takes root, to become somebody else")

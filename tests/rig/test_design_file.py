@@ -78,9 +78,33 @@ def test_a_missing_file_is_said(tmp_path):
         design_file.load(tmp_path / "rig.toml")
 
 
-def test_unknown_keys_are_left_alone(rig_text, tmp_path):
-    path = spoiled(rig_text, tmp_path, "[actuator]", 'colour = "blue"\n[actuator]')
-    assert design_file.load(path).mechanism.kind == "hexapod"
+@pytest.mark.parametrize("above, line, says", [
+    ('shutter = "global"', 'shuter = "rolling"', "unknown key 'camera.1.shuter'; is 'shutter' meant"),
+    ("[actuator]", "screw_led = 0.002", "unknown key 'actuator.screw_led'; is 'screw_lead' meant"),
+    ("[environment]", "gravitation = [0, 0, -9.8]", "unknown key 'environment.gravitation'; is 'gravity' meant"),
+    ("[actuator]", 'colour = "blue"', "unknown key 'actuator.colour'; there are screw_lead, joints, max_speed"),
+    ('schema = "rig/1"', "notes = 1", "unknown key 'notes'; there are schema, name"),
+    ("[[target]]", 'colour = "blue"', "unknown key 'target.1.colour'"),
+    ("[mechanism]", "strut_ranges = 1", "unknown key 'mechanism.strut_ranges'; is 'strut_range' meant"),
+    ("[mechanism]", '"\\u001b[2J" = 1', r"unknown key 'mechanism.\\x1b\[2J'")])
+def test_unknown_keys_are_refused_with_their_line_and_the_nearest_that_is_known(rig_text, tmp_path, above, line, says):
+    assert above in rig_text
+    path = spoiled(rig_text, tmp_path, above, f"{above}\n{line}")
+    with pytest.raises(FileError, match=says) as caught:
+        design_file.load(path)
+    assert path.read_text().splitlines()[caught.value.line - 1] == line
+
+
+def test_unknown_keys_of_poses_and_listed_markers_are_refused(tmp_path):
+    path = tmp_path / "rig.toml"
+    text = ('schema = "rig/1"\n[mechanism]\nkind = "free"\n[[target]]\nname = "t"\nbody = "base"\ndictionary = "DICT_APRILTAG_36h11"\n'
+            '[[target.marker]]\nid = 3\nside = 0.1\npose = { position = [0, 0, 0], rotvec = [0, 0, 0] }\n')
+    for edit, says in ((("rotvec", "quaternion"), "unknown key 'target.1.marker.1.pose.quaternion'; there are position, rotvec"),
+                       (("side = 0.1", "side = 0.1\nmargn = 0"), "'margin' meant"), (('name = "t"', 'name = "t"\nedge = 0.1'), "target.1.edge"),
+                       (('"free"', '"free"\njoints = []'), "mechanism.joints")):
+        path.write_text(text.replace(*edit))
+        with pytest.raises(FileError, match=says):
+            design_file.load(path)
 
 
 def test_other_kinds_are_read(tmp_path):

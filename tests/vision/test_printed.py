@@ -1,12 +1,16 @@
 """The true side of printed markers from a photograph: a sheet drawn, printed too small, photographed aslant."""
 
 import json
+import resource
+import struct
+import zlib
 
 import cv2
 import numpy as np
 import pytest
 
 from rig.cli import main
+from rig.images import PNG
 from vision.targets import marker_cells
 
 PIXEL, WIDTH, HEIGHT = 5.0, 210.0, 297.0  # px per mm of the flat drawing; mm
@@ -22,6 +26,18 @@ marker = 0.05
 faces = { "+x" = 0, "+y" = 1, "-x" = 2, "-y" = 3 }
 pose = { position = [0.0, 0.0, 0.0], rotvec = [0.0, 0.0, 0.0] }
 """
+
+
+def test_a_picture_that_claims_more_than_a_photograph_has_is_never_decoded(tmp_path, capsys):
+    row = zlib.compress(bytes(9000))
+    (tmp_path / "rig.toml").write_text(RIG)
+    bomb = b"\0\0\0\rIHDR" + struct.pack(">IIBBBBB", 30000, 30000, 16, 2, 0, 0, 0)
+    bomb += struct.pack(">I", zlib.crc32(bomb[4:])) + struct.pack(">I", len(row)) + b"IDAT" + row
+    (tmp_path / "bomb.png").write_bytes(PNG + bomb + struct.pack(">I", zlib.crc32(b"IDAT" + row)) + b"\0\0\0\0IEND\xaeB`\x82")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert main(["check-print", str(tmp_path / "bomb.png"), str(tmp_path / "rig.toml")]) == 1
+    assert "bomb.png: is no picture that can be read (cut off?): claims 30000 x 30000 px; an image has at most 67108864" in capsys.readouterr().err
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 17  # KiB
 
 
 def photograph(path, scale, folder):

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import DICTIONARIES, Camera
 from rig.errors import RigError
+from rig.number import number, whole
 from vision import lens
 from vision.corners.detect import detect, grey
 from vision.lenses import junction
@@ -64,7 +65,7 @@ def parse(text: str) -> Board:
     if len(parts) != 5:
         raise RigError(f"--board {text!r} has {len(parts)} parts, not 5: {KINDS[kind]}")
     try:
-        columns, rows = (int(part) for part in parts[1].lower().split("x"))
+        columns, rows = (whole(part) for part in parts[1].lower().split("x"))
     except ValueError:
         raise RigError(f"--board {text!r}: {parts[1]!r} is no size such as 5x7") from None
     if not (columns * rows >= 2 and 1 <= columns <= 100 and 1 <= rows <= 100) or (kind == "charuco" and min(columns, rows) < 3):
@@ -72,7 +73,7 @@ def parse(text: str) -> Board:
     lengths = []
     for name, part in zip(("square", "marker") if kind == "charuco" else ("side", "gap"), parts[2:4]):
         try:
-            lengths.append(float(part))
+            lengths.append(number(part))
         except ValueError:
             raise RigError(f"--board {text!r}: {name} {part!r} is no number (m)") from None
         if not 0 < lengths[-1] <= LARGEST:

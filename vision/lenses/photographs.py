@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from rig.design import Camera
 from rig.errors import FileError, NotEnoughData, RigError
 from rig.exposures import read_image
+from rig.images import MOST_OF_A_PHOTOGRAPH
 from vision.lenses.board import Board, BoardView, see
 from vision.lenses.calibration import LEAST_CORNERS, MODELS, Fit, HeldOut, calibrate, choose, hold_out, observations_of, projection_uncertainty
 from vision.observations import Observations
@@ -62,7 +63,7 @@ def calibrate_photographs(paths: Sequence[Path], board: Board, name: str = "cam0
     """
     images: list[np.ndarray] = []
     for path in paths:
-        image = read_image(path)
+        image = read_image(path, MOST_OF_A_PHOTOGRAPH)
         if images and image.shape[:2] != images[0].shape[:2]:
             raise FileError(path, f"is {image.shape[1]} x {image.shape[0]} px, the first photograph {images[0].shape[1]} x "
                                   f"{images[0].shape[0]} px: one camera has one size")

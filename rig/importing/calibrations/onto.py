@@ -14,6 +14,7 @@ from rig.errors import RigError
 from rig.importing.calibrations.camera import ForeignCamera
 from rig.importing.calibrations.read import cameras
 from rig.importing.recipe import Cameras
+from rig.number import numbers
 from rig.outside import shown
 from rig.pose import pose
 
@@ -80,7 +81,7 @@ def _anchor(named: dict[str, ForeignCamera], known: dict[str, Camera], stated: C
 
 def _pose(text: str) -> RigidTransform:
     try:
-        figures = [float(word) for word in text.replace(",", " ").split()]
+        figures = numbers(text.replace(",", " ").split())
     except ValueError:
         figures = []
     if len(figures) != 6 or not np.isfinite(figures).all() or np.abs(figures[:3]).max() > LARGEST_RIG:
