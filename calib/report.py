@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures, HeldOut, errors_of
-from calib.certify.claim import Claim
+from calib.certify.evidence import judgement
 from calib.identify.observability import combinations
 from calib.certify.verdict import verdict
 from calib.correct.correction import Correction
@@ -21,7 +21,7 @@ from calib.workspace.drawing import section
 from rig import mechanisms
 from rig.kinds import Struts
 from rig.machine_file import GEOMETRY
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, listed, note, paragraph, table
 from rig.pose import vector
@@ -33,7 +33,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
                      links: Sequence[Link] = ()) -> None:
     """Write the page of a calibration: what it is worth, before and after on held-out poses, strut corrections, coverage, parameters."""
     correction = calibration.correction
-    parts = [*rests_on(calibration.claim), *_held(calibration.held_out),
+    parts = [*rests_on(calibration), *_held(calibration.held_out),
              heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
              before_after(*errors_of(correction, samples), samples.frame), *in_space(recording, calibration, samples),
              heading("What each strut is corrected by"), note("Dots: x - IK(GDK(x)) at the visited configurations. Squares: the correction at the "
@@ -42,26 +42,8 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              coverage(vector(samples.T_base_platform)), *section(calibration.workspace, "m"),
              heading("Parameters"), _combinations(calibration, found), folded("Every parameter's change", _parameters(calibration)),
              heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
-                     to_do(calibration.claim), links, scripts(parts)))
-
-
-def judged(claim: Claim | None) -> Verdict:
-    """The verdict on a calibration by its Claim: good where the machine is surely better than its owner's model, bad where it is surely not."""
-    if claim is None:
-        return Verdict(State.CHECK, "this calibration claims nothing")
-    if claim.ratio is None:
-        return Verdict(State.CHECK, verdict(claim)[0])
-    state = State.GOOD if claim.ratio[1] > 1 else State.BAD if claim.ratio[2] < 1 else State.CHECK
-    return Verdict(state, verdict(claim)[0])
-
-
-def to_do(claim: Claim | None) -> list[str]:
-    """What an owner does next with a calibration."""
-    if claim is None or claim.ratio is None:
-        return ["Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"]
-    return ["Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC --out certificate.html`",
-            "Ask for commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out commands.csv`"]
+    judged = judgement(calibration)
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
 
 
 def in_space(recording: Recording, calibration: Calibration, samples: Samples) -> list[str]:
@@ -73,9 +55,10 @@ def in_space(recording: Recording, calibration: Calibration, samples: Samples) -
     return [heading("In three dimensions"), *view(shown)]
 
 
-def rests_on(claim: Claim | None) -> list[str]:
-    """HTML of what a Claim rests on; none of a calibration that claims nothing."""
-    return [] if claim is None else [listed(verdict(claim)[1:])]
+def rests_on(calibration: Calibration) -> list[str]:
+    """HTML of what the judgement of a Calibration and its claim rest on; nothing of a calibration that claims nothing."""
+    claim = calibration.claim
+    return [] if claim is None else [listed([*judgement(calibration).rests_on, *verdict(claim)[1:]])]
 
 
 def _held(held: HeldOut | None) -> list[str]:

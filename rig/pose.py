@@ -59,6 +59,18 @@ def difference(T_from: RigidTransform, T_to: RigidTransform) -> np.ndarray:
     return vector(T_from.inv() * T_to)
 
 
+def adjoint(T: RigidTransform) -> np.ndarray:
+    """(..., 6, 6) matrix by which a tangent is seen through T: T exp(xi) T^-1 = exp(adjoint(T) xi).
+
+    T : RigidTransform (...,)
+    Source: Barfoot, State Estimation for Robotics, 1st ed., eq. 7.37 (there translation first as well)
+    """
+    R, out = T.rotation.as_matrix(), np.zeros((*np.shape(T.translation)[:-1], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(T.translation) @ R
+    return out
+
+
 def roll_pitch_yaw(T: RigidTransform) -> np.ndarray:
     """(..., 3) rad of a RigidTransform (...): turned by roll about x, then pitch about y, then yaw about z, the axes of the static frame.
 

@@ -11,7 +11,8 @@ from calib.played import FACTORS, played, scaled
 from rig import plan
 from rig.cli import main
 from rig.effects.parse import parse
-from rig.page.document import Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Page, write
 from rig.page.index import pages, read
 
 BENCH = Path(__file__).parent / "data" / "bench"

@@ -7,9 +7,10 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
 from rig.errors import RigError
+from rig.pose import adjoint
 from vision.bundle.columns import POSE_SCALE, Estimate, Unknowns
 from vision.bundle.normal import linearise, normal_equations, reduce
-from vision.in_hand import adjoint_of, in_hand
+from vision.in_hand import in_hand
 from vision.measure import Measurement
 from vision.observations import Observations, whitener
 from vision.predict import Sightings, State, facing, inside, see
@@ -45,8 +46,8 @@ def foreseen(measured: Measurement, design: Design, T_base_platform: RigidTransf
     rest = common[..., k:]
     covariance, common = own + rest @ np.swapaxes(rest, 1, 2), common[..., :k]
     if in_hand(design):
-        adjoint = adjoint_of(body[seen])
-        covariance, common = adjoint @ covariance @ np.swapaxes(adjoint, 1, 2), -adjoint @ common
+        inverted = adjoint(body[seen])
+        covariance, common = inverted @ covariance @ np.swapaxes(inverted, 1, 2), -inverted @ common
     return Foreseen(seen, covariance, common)
 
 

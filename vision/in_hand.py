@@ -7,10 +7,9 @@ exchanged; the stated pose of the camera in the platform holds the platform's fr
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from rig.design import Design
-from rig.pose import skew
+from rig.pose import adjoint
 from rig.recording import Recording
 from vision.measure import Measurement
 
@@ -36,16 +35,6 @@ def of_platform(measured: Measurement) -> Measurement:
 
     T exp(xi) of the one is T^-1 exp(-Ad xi) of the other, with Ad that of T.
     """
-    adjoint = adjoint_of(measured.T_base_platform)
+    seen = adjoint(measured.T_base_platform)
     return replace(measured, T_base_platform=measured.T_base_platform.inv(),
-                   covariance=adjoint @ measured.covariance @ np.swapaxes(adjoint, 1, 2), common=-adjoint @ measured.common)
-
-
-def adjoint_of(T: RigidTransform) -> np.ndarray:
-    """(..., 6, 6) of poses T (...): what takes a tangent on their right (m, rad) to one on their left."""
-    matrix = T.as_matrix()
-    R, t = matrix[..., :3, :3], matrix[..., :3, 3]
-    out = np.zeros((*R.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = R
-    out[..., :3, 3:] = skew(t) @ R
-    return out
+                   covariance=seen @ measured.covariance @ np.swapaxes(seen, 1, 2), common=-seen @ measured.common)

@@ -9,9 +9,10 @@ from calib.arms import model
 from calib.arms.certify import Certified
 from calib.certify.calibration import Calibration
 from calib.certify.held_out import Figures
+from calib.certify.evidence import judgement
 from calib.certify.held_out import errors_of
 from calib.pose_figures import before_after, coverage
-from calib.report import in_space, judged, origin, rests_on, to_do
+from calib.report import in_space, origin, rests_on
 from calib.samples import Samples
 from calib.workspace.drawing import section
 from rig import mechanisms
@@ -27,7 +28,7 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
                      links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
     went = np.concatenate([samples.T_base_platform.translation, samples.T_base_platform.rotation.as_rotvec()], axis=1)
-    parts = [*rests_on(calibration.claim), *_held(done),
+    parts = [*rests_on(calibration), *_held(done),
              heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
              before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
              heading("What each joint is corrected by"), note("Beyond its offset, along the configurations visited."),
@@ -35,8 +36,8 @@ def calibration_page(path: Path | str, recording: Recording, calibration: Calibr
              heading("Parameters"), *(paragraph(f"{line}.") for line in done.found.rank.report()),
              folded("Every parameter's change", _parameters(calibration)),
              heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
-                     to_do(calibration.claim), links, scripts(parts)))
+    judged = judgement(calibration)
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
 
 
 def _held(done: Certified) -> list[str]:

@@ -5,8 +5,9 @@ import math
 from calib.certify.configurations import LEAST
 from calib.certify.held_out import HeldOut
 from calib.certify.claim import Claim
+from calib.certify.verification import Verification
 
-CHANCE = 2.4  # by how much the mean square of six shared errors, drawn once, may exceed what is expected (97.5 % of chi-square / 6)
+WHERE = {"base": "base, or the instrument,", "platform": "target on the platform"}
 
 
 def verdict(claim: Claim) -> list[str]:
@@ -33,25 +34,43 @@ def factor(three: tuple[float, ...]) -> str:
     return f"{three[0]:.3g} times better ({interval})"
 
 
-def kept(held: HeldOut, claim: Claim) -> bool:
-    """Whether measured poses are no further off than the claim's upper end and what measuring them adds."""
-    return held.after.position[0] <= most(held, claim)
-
-
-def most(held: HeldOut, claim: Claim) -> float:
-    """m RMS, what a recording may be off by where the claim is kept. Raises ValueError for a Claim without a factor."""
-    if claim.after is None:
-        raise ValueError("no factor is claimed, so there is nothing to keep")
-    return math.sqrt(claim.after[0][2] ** 2 + CHANCE * held.floor[0] ** 2)
-
-
-def verified(held: HeldOut, claim: Claim | None) -> str:
-    """The verdict on a calibration by a recording's poses: a line."""
+def verified(held: HeldOut, claim: Claim | None, found: Verification | None) -> str:
+    """What a recording's poses show of a calibration: a line. found : Verification of the claim, None where no factor is claimed"""
     where = "this 1 configuration" if held.configurations == 1 else f"these {held.configurations} configurations"
     placed = math.isfinite(held.after.position[0])
     before, after, unit = (held.before.position, held.after.position, "mm") if placed else (held.before.rotation, held.after.rotation, "mrad")
     here = f"{factor(held.ratio)} on {where}: {before[0] * 1e3:.3f} -> {after[0] * 1e3:.4f} {unit} RMS as measured"
-    if claim is None or claim.after is None:
+    if claim is None or found is None:
         return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
-    limit = f"up to {most(held, claim) * 1e3:.4f} mm with what measuring adds"
-    return f"{here}; the claim is {'kept' if kept(held, claim) else 'NOT kept'} ({claim.after[0][0] * 1e3:.4f} mm, {limit})"
+    if not found.parts:
+        return f"{here}; nothing that was measured is claimed"
+    return f"{here}; the claim is {'kept' if found.kept else 'NOT kept'} ({against(found)})" + elsewhere(found)
+
+
+def against(found: Verification) -> str:
+    """Each part of a claim against what was measured, in words."""
+    said = []
+    for name, part in found.parts.items():
+        unit = "mm" if name == "position" else "mrad"
+        said.append(f"{name} {part.rms * 1e3:.4f} {unit} where up to {part.claimed * 1e3:.4f} is claimed, {part.of_allowed:.2f} times what claim and "
+                    f"noise allow, chance up to {part.limit:.2f}")
+    return "; ".join(said)
+
+
+def refuting(found: Verification) -> str:
+    """What a claim that is not kept is refuted by, a sentence: 45 um where 3.4 um is claimed."""
+    wrong = [(name, part) for name, part in found.parts.items() if not part.kept]
+    return " and ".join(f"{name} error {_size(part.rms, name)} RMS where up to {_size(part.claimed, name)} is claimed" for name, part in wrong)
+
+
+def elsewhere(found: Verification) -> str:
+    """The rigid motion that explains why a claim is not kept, in words that follow; nothing where none does."""
+    if found.offset is None:
+        return ""
+    o = found.offset
+    return (f"; the {WHERE[o.of]} stands elsewhere than when it was calibrated: by {o.position * 1e3:.4f} mm, {o.rotation * 1e3:.4f} mrad; without "
+            f"that motion the claim is {'kept' if o.kept else 'NOT kept either'}")
+
+
+def _size(value: float, name: str) -> str:
+    return f"{value * 1e6:.3g} {'um' if name == 'position' else 'urad'}"

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
+from calib.certify.evidence import judgement
 from calib.certify.held_out import errors_of
 from calib.chains import model
 from calib.chains.certify import Certified
 from calib.pose_figures import before_after, coverage
-from calib.report import in_space, judged, origin, rests_on, to_do
+from calib.report import in_space, origin, rests_on
 from calib.samples import Samples
 from rig.page.document import Link, Page, write
 from rig.page.parts import folded, heading, note, paragraph, table
@@ -22,14 +23,14 @@ from rig.recording import Recording
 def calibration_page(path: Path | str, recording: Recording, calibration: Calibration, samples: Samples, done: Certified,
                      links: Sequence[Link] = ()) -> None:
     """Write the page. recording : Recording; calibration : Calibration; samples : Samples; done : Certified."""
-    parts = [*rests_on(calibration.claim), heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
+    parts = [*rests_on(calibration), heading("Before and after, pose by pose"), note("All poses; the fit has seen these."),
              before_after(*errors_of(calibration.correction, samples), samples.frame), *in_space(recording, calibration, samples),
              heading("Stage by stage"),
              *(paragraph(line) for line in done.found.report()), _parameters(done),
              heading("Where the last platform went"), coverage(vector(samples.T_base_platform)),
              heading("Where this came from"), folded("Recording, versions, arguments", origin(calibration))]
-    write(path, Page("calibrate", f"Calibration from {recording.name}", judged(calibration.claim), parts,
-                     to_do(calibration.claim), links, scripts(parts)))
+    judged = judgement(calibration)
+    write(path, Page("calibrate", f"Calibration from {recording.name}", judged, parts, judged.next, links, scripts(parts)))
 
 
 def _parameters(done: Certified) -> str:

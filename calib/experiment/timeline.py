@@ -7,7 +7,8 @@ import numpy as np
 
 from calib.experiment.notebook import chosen, spent
 from calib.experiment.record import Look
-from rig.page.document import Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Page, write
 from rig.page.figure import COLOURS, Series, panel
 from rig.page.parts import heading, listed, note, paragraph, table
 

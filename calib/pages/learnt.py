@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, listed, note, paragraph
 

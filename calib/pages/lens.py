@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import heading, note, paragraph, table
 from rig.page.plane import Arrows, Cells, image_plane

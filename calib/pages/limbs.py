@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.insitu import AXES, MOVES, Agreement
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import bars, panels
 from rig.page.parts import heading, note, table
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.pages.pictures import frame_pictures, typical, worst
 from calib.pose_figures import coverage
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, listed, note, paragraph, table
 from rig.page.plane import Arrows, Cells, image_plane, patches

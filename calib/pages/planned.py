@@ -10,7 +10,8 @@ from calib.pose_figures import coverage
 from calib.scene import stage
 from rig import mechanisms
 from rig.design import Design
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import heading, listed
 from rig.page.stage import scripts, view

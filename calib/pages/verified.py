@@ -1,42 +1,56 @@
 """The page of a verification: a calibration held against poses that it may or may not have seen, or wanted poses against those that came."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from calib.certify.claim import Claim
+from calib.certify.calibration import Calibration
+from calib.certify.evidence import evidence, separable
 from calib.certify.held_out import Figures, HeldOut
-from calib.certify.verdict import kept, verified
+from calib.certify.verdict import WHERE, refuting, verified
+from calib.certify.verification import Verification
+from calib.confounds import Confounds
 from calib.pose_figures import before_after, coverage
 from calib.samples import Samples
 from calib.scene import stage
 from rig.design import Design
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import AGREES, Evidence, Missing, Verdict, judge
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import heading, paragraph, table
 from rig.page.stage import scripts, view
 from rig.pose import vector
+from rig.refutations import Refutation
 
-FINE, FAR = 1.5, 3.0  # times the stated uncertainty: up to the first an error is as it should be, beyond the second it is not
+FAR = 3.0  # times the stated uncertainty, which errors that all poses share may reach by chance: beyond it is refuted
+ANOTHER = "Take a recording that the calibration has not seen, and verify by that: `rig verify calibration.json OTHER-REC`"
+CHANGED = "Determine what changed: `rig watch calibration.json REC`; what is left out: `rig diagnose REC --out found`"
+CERTIFY = "State what is promised, with what confidence: `rig certify calibration.json REC --out certificate.html`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verified:
-    """samples; before, after : (n, 6) errors by the owner's model and corrected, m and rad; held : their figures; claim : of the calibration, or None
+    """samples; before, after : (n, 6) errors by the owner's model and corrected, m and rad; held : their figures
+    found : Verification of the claim, or None; calibration, refutations : Calibration, and what later recordings found against it
     same : numbers of frames that it was made from; driven : where poses were wanted, (figures of the errors, stated uncertainty (m, rad),
-    errors (n, 6)), else None; unsolved : {frame number: why it has no pose}"""
+    errors (n, 6)), else None; unsolved : {frame number: why it has no pose}
+    confounds : of the recording, None where it states no conditions"""
 
     design: Design
     samples: Samples
     before: np.ndarray
     after: np.ndarray
     held: HeldOut
-    claim: Claim | None
+    found: Verification | None
+    calibration: Calibration
+    refutations: Sequence[Refutation]
     same: Sequence[int]
     driven: tuple[Figures, tuple[float, float], np.ndarray] | None
     unsolved: dict[int, str]
+    confounds: Confounds | None = None
 
 
 def verified_page(path: Path | str, name: str, v: Verified, links: Sequence[Link] = ()) -> None:
@@ -51,33 +65,49 @@ def verified_page(path: Path | str, name: str, v: Verified, links: Sequence[Link
               heading("Where it went"), coverage(vector(v.samples.T_base_platform))]
     if v.unsolved:
         parts += [heading("Frames without a pose"), table(("frame", "reason"), sorted(v.unsolved.items()))]
-    write(path, Page("verify", f"Verification by {name}", judged(v), parts, to_do(v), links, scripts(parts)))
+    verdict = judged(v)
+    write(path, Page("verify", f"Verification by {name}", verdict, parts, verdict.next, links, scripts(parts)))
 
 
 def judged(v: Verified) -> Verdict:
     """The verdict on a verification."""
     if v.driven is not None:
-        figures, stated, _ = v.driven
-        times = figures.position[0] / stated[0]
-        state = State.GOOD if times <= FINE else State.CHECK if times <= FAR else State.BAD
-        return Verdict(state, f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} times the stated "
-                              "standard uncertainty")
+        return judge(_of_driven(v))
     if v.same:
-        return Verdict(State.CHECK, f"no verdict: the calibration was made from {len(v.same)} of these frames")
-    line = verified(v.held, v.claim)
-    if v.claim is None or v.claim.after is None:
-        return Verdict(State.GOOD if v.held.ratio[1] > 1 else State.BAD if v.held.ratio[2] < 1 else State.CHECK, line)
-    return Verdict(State.GOOD if kept(v.held, v.claim) else State.BAD, line)
+        return judge(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
+    line, found = verified(v.held, v.calibration.claim, v.found), v.found
+    known = evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    known = replace(known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"this recording: {said}" for said in separable(v.confounds))])))
+    if found is None:
+        return judge(known)
+    if found.offset is not None and found.offset.kept:
+        moved = Missing(f"the {WHERE[found.offset.of]} stands elsewhere", "Seat targets and instrument anew, or state where they stand in rig.toml")
+        return judge(replace(known, missing=(*known.missing, moved)))
+    if refutes(v):
+        return judge(replace(known, refuted=(f"the claim is NOT kept: {refuting(found)}", *known.refuted), look=CHANGED))
+    ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
+    return judge(replace(known, held_out=max(ratios, default=None)))
 
 
-def to_do(v: Verified) -> list[str]:
-    """What an owner does next with a verification."""
-    state = judged(v).state
-    if v.same and v.driven is None:
-        return ["Take a recording that the calibration has not seen, and verify by that"]
-    if state == State.BAD:
-        return ["Ask what changed: `rig watch calibration.json REC`", "Ask what physics is left out: `rig diagnose REC --out found`"]
-    return ["State what is kept, with what confidence: `rig certify calibration.json REC --out certificate.html`"]
+def refutes(v: Verified) -> bool:
+    """Whether these poses, which nothing was fitted to, refute the calibration's claim."""
+    moved = v.found is not None and v.found.offset is not None and v.found.offset.kept
+    return v.driven is None and not v.same and v.found is not None and bool(v.found.parts) and not v.found.kept and not moved
+
+
+def _of_driven(v: Verified) -> Evidence:
+    """Evidence of poses wanted against those that came."""
+    assert v.driven is not None
+    figures, stated, _ = v.driven
+    pairs = [(size, sigma) for size, sigma in zip((figures.position[0], figures.rotation[0]), stated) if 0 < sigma < math.inf and math.isfinite(size)]
+    times = max((size / sigma for size, sigma in pairs), default=math.nan)
+    line = (f"{figures.n} poses came within {figures.position[0] * 1e3:.4f} mm RMS of those wanted, {times:.2f} times the stated standard "
+            "uncertainty")
+    known = evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    beyond = f"poses are {times:.3g} times the stated standard uncertainty off those wanted"
+    if times > FAR:
+        return replace(known, refuted=(beyond, *known.refuted), held_out=None)
+    return replace(known, missing=(*known.missing, *([Missing(beyond, CHANGED)] if times > AGREES else [])))
 
 
 def _driven(frames: np.ndarray, figures: Figures, stated: tuple[float, float], errors: np.ndarray) -> str:

@@ -12,7 +12,8 @@ from calib.scene import stage
 from rig import mechanisms
 from rig.effects.base import Effect
 from rig.errors import RigError
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.parts import heading, listed
 from rig.page.stage import Effect as Played
 from rig.page.stage import scripts, view

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from calib.drift.evidence import ALARM, Verdict as Evidence
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, bars, panel, panels
 from rig.page.parts import heading, note, paragraph
 

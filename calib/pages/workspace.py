@@ -7,7 +7,8 @@ import numpy as np
 
 from calib.workspace import drawing, words
 from calib.workspace.cells import Workspace
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import panels
 from rig.page.parts import heading, note, paragraph, table
 

@@ -8,7 +8,8 @@ from calib.certify.repeats import FEWEST
 from calib.report import flat
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.parts import folded, heading, note, paragraph, table
 
 NOT_KNOWN = "not known"

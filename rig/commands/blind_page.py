@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, note, paragraph, table
 from synthetic import score

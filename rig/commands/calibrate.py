@@ -182,7 +182,7 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str]
         done = replace(done, correction=correction, found=found)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
@@ -200,7 +200,7 @@ def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Na
     found = extending.certified(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
     calibration = _stored(out[0], recording, sampled, arguments.argv, done, found.claim, before=None if before is None else (before, found.kept))
-    _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), found.claim, progress)
+    _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
     extending.say(found, f"{arguments.onto}, pass {len(calibration.provenance['passes']) + 1}" if before is not None else (
@@ -232,7 +232,7 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], r
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
     say_joints(done, calibration.physics)
@@ -250,7 +250,7 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, argv: list[str],
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
     claim = promised(sampled.samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim)
-    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), claim, progress)
+    _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
     print("\n".join(done.found.report()))
@@ -258,15 +258,17 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, argv: list[str],
     return calibration
 
 
-def _shown(page: Path | None, draw: Callable[[Path], None], claim: Claim, progress: Progress) -> None:
+def _shown(page: Path | None, draw: Callable[[Path], None], calibration: Calibration, progress: Progress) -> None:
     """Draw the page, where there is one, and print the verdict, first of all."""
+    from calib.certify.evidence import judgement
     from calib.certify.verdict import verdict
 
     if page:
         progress("drawing the page", 0, 1)
         draw(page)
     progress.close()
-    print("\n".join(verdict(claim)))
+    judged = judgement(calibration)
+    print("\n".join([judged.line, *judged.rests_on, *(verdict(calibration.claim)[1:] if calibration.claim is not None else [])]))
 
 
 def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertified) -> None:

@@ -67,7 +67,7 @@ def run(arguments: Namespace) -> None:
                         "values": made.values.tolist()}
     if page is not None:
         from calib.pages.planned import Planned, planned_page
-        from rig.page.document import State, Verdict
+        from rig.judgement import State, Verdict
 
         told = Planned(made.design, made.values, Verdict(State(made.state), made.why), made.said)
         planned_page(page, str(arguments.out), told, near(arguments, arguments.page))

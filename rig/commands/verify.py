@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands import own_effects
+from rig.commands import own_effects, refuting
 from rig.commands.output import (
     SEED,
     Progress,
@@ -22,12 +22,13 @@ from rig.commands.output import (
     read_recording,
 )
 from rig.errors import RigError
+from rig.judgement import Verdict, exit_status
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.held_out import Figures, HeldOut
-    from calib.certify.claim import Claim
+    from calib.certify.held_out import Figures
+    from calib.pages.verified import Verified
     from calib.pipeline import Sampled
     from calib.samples import Samples
     from calib.store import Calibration
@@ -47,8 +48,8 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--wanted", metavar="FILE", type=Path, help="poses that the recording's frames, in order, were meant to take")
 
 
-def run(arguments: Namespace) -> None:
-    """Hold a calibration against a recording and print the figures."""
+def run(arguments: Namespace) -> int:
+    """Hold a calibration against a recording and print the figures; 3 where the verdict is bad."""
     from calib import store
     from rig import recording as recordings
 
@@ -62,8 +63,11 @@ def run(arguments: Namespace) -> None:
 
     import numpy as np
 
-    from calib.certify.held_out import compare, errors_of
+    from calib.certify import verdict as words
     from calib.certify.configurations import labels, ranges
+    from calib.certify.held_out import compare, errors_of
+    from calib.certify.verification import verification
+    from calib.pages.verified import Verified, judged, refutes, verified_page
     from calib.confounds import of_recordings
     from calib.pipeline import sample_recording
 
@@ -72,38 +76,46 @@ def run(arguments: Namespace) -> None:
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
     before, after = errors_of(calibration.correction, samples)
     held = compare(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
-    progress.close()
-    same = store.seen_before(calibration, recording)
+    same, claim = store.seen_before(calibration, recording), calibration.claim
+    found = None
+    if claim is not None and claim.after is not None:
+        predicted = calibration.correction.predict(samples.effective)
+        found = verification(predicted, samples, label, claim, np.random.default_rng(SEED))
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
     confounds = of_recordings([recording])
+    progress.close()
+    unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
+    refuted = refuting.known(arguments.calibration)
+    shown = Verified(recording.design, samples, before, after, held, found, calibration, refuted, same, driven, unsolved, confounds)
+    verdict = judged(shown)
     if page is not None:
-        from calib.pages.verified import Verified, verified_page
-
-        unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-        told = Verified(recording.design, samples, before, after, held, calibration.claim, same, driven, unsolved)
-        verified_page(page, recording.name, told, near(arguments, arguments.page))
+        verified_page(page, recording.name, shown, near(arguments, arguments.page))
+    if found is not None and refutes(shown):
+        refuting.mark(arguments, arguments.calibration, recording.name, words.refuting(found))
     if arguments.json:
-        print_json(_verification(held, same, sampled, driven, calibration.claim) | {"confounds": confounds and confounds.tree()})
-        return
+        print_json(_verification(shown, verdict, sampled) | {"confounds": confounds and confounds.tree()})
+        return exit_status(verdict)
     if same:
         print(f"warning: the calibration was made from {len(same)} of this recording's {len(recording.exposures.times()[0])} frames, so these "
               "figures are not held out", file=sys.stderr)
-    _say(held, same, driven, calibration.claim, sampled)
+    _say(shown, verdict, sampled)
     if confounds is not None:
         print(confounds.line())
     if page is not None:
         print(f"written: {arguments.page}")
+    return exit_status(verdict)
 
 
-def _say(held: HeldOut, same: list[int], driven: Driven | None, claim: Claim | None, sampled: Sampled) -> None:
+def _say(shown: Verified, verdict: Verdict, sampled: Sampled) -> None:
     """Print what was found."""
-    from calib.certify.verdict import verified
-
-    if driven is None:
-        print("no verdict: these poses were fitted" if same else verified(held, claim))
-        print_comparison(held, f"{len(sampled.samples)} poses from {sampled.source}")
+    print(verdict.line)
+    if shown.driven is None:
+        print_comparison(shown.held, f"{len(shown.samples)} poses from {sampled.source}")
+        if shown.found is not None and shown.found.parts:
+            print("an error of the machine would have been noticed from " + " and ".join(
+                f"{part.noticed * 1e3:.4f} {'mm' if name == 'position' else 'mrad'} RMS on" for name, part in shown.found.parts.items()))
     else:
-        figures, stated, _ = driven
+        figures, stated, _ = shown.driven
         turned = ("", "", "")
         if 0 < stated[1] < float("inf"):  # the machine turns at all, and that was measured
             turned = (f"; rotation {figures.rotation[0] * 1e3:.4f} mrad RMS, {figures.rotation[2] * 1e3:.4f} max", f" and {stated[1] * 1e3:.4f} mrad",
@@ -133,23 +145,26 @@ def _driven(calibration: Calibration, recording: Recording, samples: Samples, wa
     return figures(errors), uncertainty(stated), errors
 
 
-def _verification(held: HeldOut, same: list[int], sampled: Sampled, driven: Driven | None, claim: Claim | None) -> dict:
-    from calib.certify.verdict import kept
+def _verification(shown: Verified, verdict: Verdict, sampled: Sampled) -> dict:
+    from dataclasses import asdict
 
     def side(figures: Figures) -> dict:
         names = ("rms", "p95", "max", "mean")
         position, rotation = (*figures.position, figures.mean[0]), (*figures.rotation, figures.mean[1])
         return {"position": dict(zip(names, position)), "rotation": dict(zip(names, rotation)), "bias": figures.bias}
 
-    unsolved = sampled.measurement.unsolved if sampled.measurement is not None else {}
-    tree = {"schema": "verification/1", "unit": {"position": "m", "rotation": "rad"}, "held_out": not same, "frames_used_in_fitting": same,
-            "n": held.after.n,
+    held, same, claim = shown.held, shown.same, shown.calibration.claim
+    tree = {"schema": "verification/1", "verdict": verdict.tree(), "unit": {"position": "m", "rotation": "rad"}, "held_out": not same,
+            "frames_used_in_fitting": same, "n": held.after.n,
             "before": side(held.before), "after": side(held.after),
             "measurement_uncertainty": {"position": held.floor[0], "rotation": held.floor[1]},
             "ratio": {"position": held.ratio[0], "ci95": held.ratio[1:]}, "configurations": held.configurations,
-            "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(unsolved.items())]}
-    if claim is not None and claim.after is not None:
-        tree["claim"] = {"after": claim.after[0], "ratio": claim.ratio, "kept": kept(held, claim)}
-    if driven is not None:
-        tree["wanted"] = {**side(driven[0]), "stated_uncertainty": {"position": driven[1][0], "rotation": driven[1][1]}}
+            "unsolved": [{"frame": frame, "reason": reason} for frame, reason in sorted(shown.unsolved.items())],
+            "refuted_before": [asdict(one) for one in shown.refutations]}
+    if claim is not None and claim.after is not None and shown.found is not None:
+        parts = {name: {**asdict(part), "kept": part.kept} for name, part in shown.found.parts.items()}
+        tree["claim"] = {"after": claim.after[0], "ratio": claim.ratio, "kept": shown.found.kept, **parts,
+                         "offset": shown.found.offset and asdict(shown.found.offset)}
+    if shown.driven is not None:
+        tree["wanted"] = {**side(shown.driven[0]), "stated_uncertainty": {"position": shown.driven[1][0], "rotation": shown.driven[1][1]}}
     return tree

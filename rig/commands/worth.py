@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
 def tell(arguments: Namespace, calibration: Calibration, poses: int) -> None:
     """Say what a calibration of so many poses is worth, and leave for --json its held-out figures and claim, as calibration.json has them."""
+    from calib.certify.evidence import judgement
+
     held, claim = calibration.held_out, calibration.claim
     arguments.result = {"schema": "calibrated/1", "held_out": held and asdict(held), "claim": claim and asdict(claim), "poses": poses,
-                        "confounds": calibration.confounds and calibration.confounds.tree()}
+                        "confounds": calibration.confounds and calibration.confounds.tree(), "verdict": judgement(calibration).tree()}
     if calibration.confounds is not None:
         print(calibration.confounds.line())
     _say_promise(arguments.promise, claim)

@@ -3,30 +3,15 @@
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 from rig.files import write_text
+from rig.judgement import Verdict
 from rig.page.parts import capital, listed, words
 
 SHUT = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"  # nothing is fetched from anywhere
-
-
-class State(StrEnum):
-    """How things stand: go on, look first, or do not go on."""
-
-    GOOD = "good"
-    CHECK = "check"
-    BAD = "bad"
-
-
-class Verdict(NamedTuple):
-    """The first line of a page. why : what it says, a sentence without its full stop"""
-
-    state: State
-    why: str
 
 
 class Link(NamedTuple):
@@ -57,7 +42,7 @@ def write(path: Path | str, page: Page) -> None:
 
 def text(page: Page) -> str:
     """HTML of a Page."""
-    state, why = page.verdict
+    state, why = page.verdict.state, page.verdict.why
     links = "".join(f'<a href="{html.escape(link.path)}">{html.escape(link.label)}</a>' for link in page.links)
     steps = listed(map(capital, page.next_steps), ordered=len(page.next_steps) > 1)
     style, script = asset("theme.css") + asset("document.css") + asset("figure.css"), asset("document.js")

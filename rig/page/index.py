@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+from rig import refutations
 from rig.errors import RigError
 from rig.files import Outputs
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import WORST, State, Verdict, worst
+from rig.page.document import Link, Page, write
 from rig.page.parts import capital, heading, words
 
 NAME = "index.html"
@@ -18,12 +20,11 @@ KIND = "index"
 DEPTH = 3  # folders down to which pages are looked for, and up to which an index is
 HEAD = 8192  # characters in which a page says what it is
 SAID = re.compile('<meta name="generator" content="rig ([a-z]+)"><meta name="description" content="([^:"]*): ([^"]*)"><title>([^<]*)</title>')
-WORST = (State.BAD, State.CHECK, State.GOOD)
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A page. path; kind, title, state, why : as it says them; changed : s, when it was written"""
+    """A page. path; kind, title, state, why : as it says them, and as later recordings have it; changed : s, when it was written"""
 
     path: Path
     kind: str
@@ -34,7 +35,10 @@ class Found:
 
 
 def read(path: Path) -> Found | None:
-    """What a page says; None for a file that is no page of ours, or cannot be read."""
+    """What a page says, and what refuted the result beside it later; None for a file that is no page of ours, or cannot be read.
+
+    Raises FileError for a list of refuted results that is none
+    """
     try:
         with path.open(encoding="utf-8") as file:
             said = SAID.search(file.read(HEAD))
@@ -43,7 +47,9 @@ def read(path: Path) -> Found | None:
         return None
     if said is None or said[2] not in list(State):
         return None
-    return Found(path, said[1], html.unescape(said[4]), State(said[2]), html.unescape(said[3]), changed)
+    later = refutations.of_file(path.with_suffix(".json"))
+    state, why = worst([State(said[2]), *(one.state for one in later)]), "; ".join([*(one.line for one in later), html.unescape(said[3])])
+    return Found(path, said[1], html.unescape(said[4]), state, why, changed)
 
 
 def pages(folder: Path) -> list[Found]:
@@ -57,7 +63,7 @@ def index_page(path: Path, folder: Path) -> None:
     """Write the page of all pages of a folder. path : where it is written, to stand in that folder"""
     known = pages(folder)
     count = {state: sum(found.state == state for found in known) for state in WORST}
-    state = next((state for state in WORST if count[state]), State.CHECK)
+    state = worst([found.state for found in known])
     why = ", ".join(f"{count[state]} {state}" for state in WORST if count[state]) or "there is no page yet"
     items = "".join(f'<li><span class="badge {found.state}">{found.state}</span> <a href="{_way(found.path, folder)}">{html.escape(found.title)}</a>'
                     f'<br><span class="note">{words(capital(found.why))}</span></li>' for found in known)

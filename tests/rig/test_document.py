@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from rig.page.document import Link, Page, State, Verdict, text
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, text
 from rig.page.figure import MOST, RIGHT, Series, bars, panel
 from rig.page.letters import wide, wrapped
 from rig.page.parts import capital, table, words

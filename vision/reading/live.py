@@ -16,11 +16,12 @@ from scipy.spatial.transform import RigidTransform
 
 from rig.design import Camera, Design
 from rig.errors import NotEnoughData
+from rig.pose import adjoint
 from rig.processes import cores
 from rig.recording import Corners
 from vision.corners.detect import REACH, Detection, detect, grey, place
 from vision.corners.spread import PLAIN, Spread
-from vision.in_hand import adjoint_of, in_hand, seen_from
+from vision.in_hand import in_hand, seen_from
 from vision.measure import Measurement, measure
 from vision.observations import Observations, from_corners, nothing_seen
 from vision.pose.frames import Views, locate_frames, resect
@@ -65,8 +66,8 @@ def from_hand(sight: Sight) -> Sight:
     T = sight.T_base_platform
     if T is None:
         return sight
-    adjoint = adjoint_of(T)
-    return replace(sight, T_base_platform=T.inv(), covariance=None if sight.covariance is None else adjoint @ sight.covariance @ adjoint.T)
+    inverted = adjoint(T)
+    return replace(sight, T_base_platform=T.inv(), covariance=None if sight.covariance is None else inverted @ sight.covariance @ inverted.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,8 @@ from typing import Any, Protocol
 from calib.diagnose.report import words
 from calib.diagnose.report.schema import FindingEntry, Report
 from rig.effects import BY_NAME
-from rig.page.document import Link, Page, State, Verdict, write
+from rig.judgement import State, Verdict
+from rig.page.document import Link, Page, write
 from rig.page.figure import panels
 from rig.page.parts import folded, heading, note, paragraph, table
 from rig.page.stage import scripts

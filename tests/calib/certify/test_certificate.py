@@ -33,7 +33,7 @@ def test_few_configurations_have_no_interval(count, where):
     held = compare(1e-3 * rng.normal(size=(40, 6)), 1e-5 * rng.normal(size=(40, 6)), np.tile(np.eye(6) * 1e-10, (40, 1, 1)), rng,
                    np.arange(40) % count)
     assert np.isnan(held.ratio[1:]).all() and held.configurations == count
-    said = verified(held, None)
+    said = verified(held, None, None)
     assert f"(too few configurations for an interval) on {where}" in said and "nan" not in said
 
 

@@ -9,7 +9,8 @@ from calib.certify.configurations import folds, labels, ranges, witnesses
 from calib.identify.geometry import identify, parameters
 from calib.pipeline import sample_recording
 from calib.identify.tolerance import tolerance
-from calib.certify.verdict import kept, verdict, verified
+from calib.certify.verdict import verdict, verified
+from calib.certify.verification import verification
 from rig import plan, recording
 from rig.mechanisms import hexapod
 from rig.pose import difference
@@ -105,8 +106,9 @@ def test_a_claim_is_kept_or_it_is_not(design):
     fresh = sampled(design, 6, 40, commands=commands, noise_seed=5)[0]
     other = sampled(design, 6, 40, commands=commands, noise_seed=5, deviation=lambda c: np.full(c.shape, 2e-4) * [1, -1, 1, -1, 1, -1])[0]
     held = [compare(*errors_of(done.correction, some), some.total_covariance(), np.random.default_rng(0)) for some in (fresh, other)]
-    assert [kept(one, claim) for one in held] == [True, False]
-    assert "the claim is kept" in verified(held[0], claim) and "NOT kept" in verified(held[1], claim)
+    found = [verification(done.correction.predict(some.effective), some, np.arange(40), claim, np.random.default_rng(0)) for some in (fresh, other)]
+    assert [one.kept for one in found] == [True, False]
+    assert "the claim is kept" in verified(held[0], claim, found[0]) and "NOT kept" in verified(held[1], claim, found[1])
 
 
 def test_repeats_make_no_claim_better_than_its_configurations(design):

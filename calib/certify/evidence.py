@@ -1,0 +1,66 @@
+"""What speaks for and against a calibration, as evidence for the one judgement of it that every page and command shows."""
+
+import math
+from collections.abc import Sequence
+
+from calib.certify.calibration import Calibration
+from calib.certify.claim import Claim
+from calib.certify.held_out import HeldOut
+from calib.certify.verdict import verdict
+from calib.confounds import Confounds
+from rig.judgement import LOOK, Evidence, Missing, State, Verdict, judge
+from rig.refutations import Refutation
+
+MORE = "Record more distinct configurations: `rig plan RIG.toml --for parameters --out plan.csv` chooses those that tell most"
+ONWARD = ("Take another recording and hold the calibration against it: `rig certify calibration.json OTHER-REC --out certificate.html`",
+          "Compute commands that bring the poses you want: `rig correct calibration.json --poses wanted.csv --out commands.csv`")
+TAKE_IN = ("Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis found --out calibration.json`")
+
+
+def judgement(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
+    """The Verdict on a calibration. refutations : of its file, by later recordings"""
+    return judge(evidence(calibration, refutations))
+
+
+def evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), statement: str | None = None,
+             steps: Sequence[str] = ONWARD) -> Evidence:
+    """Evidence for a calibration. refutations : of its file, by later recordings; statement : in place of its own; steps : where it is good"""
+    claim = calibration.claim
+    said = "this calibration claims nothing" if claim is None else verdict(claim)[0]
+    missing, refuted = list(_missing(calibration)), [one.line for one in refutations if one.state == State.BAD]
+    if claim is not None and claim.ratio is not None:
+        if claim.ratio[2] < 1:
+            refuted.append("the owner's own model does better")
+        elif claim.ratio[1] <= 1:
+            missing.append(Missing("it is not shown to be better than the owner's own model", MORE))
+    unexplained = () if claim is None else claim.unexplained
+    doubted = tuple(one.line for one in refutations if one.state != State.BAD)
+    return Evidence(said if statement is None else statement, tuple(steps), of_claim(calibration.held_out, claim), (*unexplained, *doubted),
+                    separable(calibration.confounds),
+                    tuple(missing), tuple(refuted), LOOK if calibration.correction.nominal.kind == "chain" else TAKE_IN)
+
+
+def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:
+    """Held-out RMS error over what claim and noise allow, the greater of position's and rotation's; None where nothing was held out or claimed."""
+    if held is None or claim is None or claim.after is None:
+        return None
+    found = []
+    for size, three, floor in zip((held.after.position[0], held.after.rotation[0]), claim.after, held.floor):
+        allowed = math.hypot(three[2], floor)
+        if math.isfinite(size) and math.isfinite(allowed) and three[2] > 0:
+            found.append(size / allowed)
+    return max(found, default=None)
+
+
+def separable(confounds: Confounds | None) -> tuple[str, ...]:
+    """What a recording's design cannot separate, a sentence; nothing where it can, or states no conditions."""
+    return (confounds.line().split("; record the same")[0],) if confounds is not None and confounds.serious else ()
+
+
+def _missing(calibration: Calibration) -> list[Missing]:
+    claim = calibration.claim
+    if claim is None:
+        return [Missing("nothing is claimed", MORE)]
+    if claim.ratio is None:
+        return [Missing("it is not known how the correction does at other configurations", MORE)]
+    return []

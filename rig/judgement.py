@@ -1,0 +1,110 @@
+"""The one judgement of a result, made from its evidence: good, check or bad, why, and the command that would tell more.
+
+Good needs all of it: a held-out error within AGREES of what noise and claim allow, nothing unexplained, and nothing stated beyond what the design of
+the recording supports. Bad is what was refuted: by a later recording, by an error beyond the claim, by the owner's own model doing better. All
+else is to be checked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+AGREES = 1.2  # times what noise and claim allow: up to that a held-out error agrees with them
+REFUTES = 1.5  # from there on it refutes them
+REFUTED = 3  # exit status of a command that examines an earlier result and finds it refuted
+MOST_REASONS = 3  # that the first line names
+
+LOOK = "Determine what is left out: `rig diagnose REC --out found`"
+BALANCE = "Record poses in a balanced order and calibrate from those: `rig run RIG.toml --plan sobol:60 --out REC2`"
+
+
+class State(StrEnum):
+    """How things stand: go on, look first, or do not go on."""
+
+    GOOD = "good"
+    CHECK = "check"
+    BAD = "bad"
+
+
+WORST = (State.BAD, State.CHECK, State.GOOD)
+
+
+class Verdict(NamedTuple):
+    """state; why : a sentence without its full stop; next : what to do next, the command that would tell more first, commands between backticks
+    rests_on : what it rests on, a sentence each"""
+
+    state: State
+    why: str
+    next: tuple[str, ...] = ()
+    rests_on: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The first line of what a command prints."""
+        return f"{self.state}: {self.why}"
+
+    def tree(self) -> dict[str, Any]:
+        """What JSON holds of it under "verdict"."""
+        return {"state": str(self.state), "why": self.why, "next": self.next[0] if self.next else None, "rests_on": list(self.rests_on)}
+
+
+class Missing(NamedTuple):
+    """What would have to be known for a result to be good. text : a sentence without its full stop; step : what would supply it"""
+
+    text: str
+    step: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a result is judged by. statement : the result itself, a sentence without its full stop; steps : what to do next where it is good
+
+    held_out : held-out error over what noise and claim allow, the greater of position's and rotation's, None where nothing was held out
+    unexplained, confounds : sentences; missing : Missing, ..; refuted : sentences, each saying what refuted it, when it was and by how much
+    look : the step that tells more of what is unexplained
+    """
+
+    statement: str
+    steps: tuple[str, ...] = ()
+    held_out: float | None = None
+    unexplained: tuple[str, ...] = ()
+    confounds: tuple[str, ...] = ()
+    missing: tuple[Missing, ...] = ()
+    refuted: tuple[str, ...] = ()
+    look: str = LOOK
+
+
+def judge(evidence: Evidence) -> Verdict:
+    """The Verdict of evidence."""
+    beyond = [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"] if _beyond(evidence, AGREES) else []
+    refuted = [*evidence.refuted, *(beyond if _beyond(evidence, REFUTES) else [])]
+    doubts = [*(beyond if not _beyond(evidence, REFUTES) else []), *evidence.unexplained, *evidence.confounds, *(m.text for m in evidence.missing)]
+    steps = [*([evidence.look] if refuted or beyond or evidence.unexplained else []), *([BALANCE] if evidence.confounds else []),
+             *(m.step for m in evidence.missing if m.step)]
+    agreed = [] if evidence.held_out is None or beyond else [f"held-out error is {evidence.held_out:.2f} times what noise and claim allow"]
+    rests_on = tuple(dict.fromkeys([*refuted, *doubts, *agreed]))
+    if refuted:
+        return Verdict(State.BAD, _sentence([*refuted, evidence.statement], len(doubts)), tuple(dict.fromkeys(steps)), rests_on)
+    if doubts:
+        return Verdict(State.CHECK, _sentence([evidence.statement, *doubts[:MOST_REASONS]], len(doubts[MOST_REASONS:])),
+                       tuple(dict.fromkeys([*steps, *evidence.steps])), rests_on)
+    return Verdict(State.GOOD, evidence.statement, evidence.steps, rests_on)
+
+
+def worst(states: Sequence[State]) -> State:
+    """The worst of states, check where there is none."""
+    return next((state for state in WORST if state in states), State.CHECK)
+
+
+def exit_status(verdict: Verdict) -> int:
+    """Exit status of a command that examines an earlier result: REFUTED where the verdict is bad, else 0."""
+    return REFUTED if verdict.state == State.BAD else 0
+
+
+def _beyond(evidence: Evidence, limit: float) -> bool:
+    return evidence.held_out is not None and evidence.held_out > limit
+
+
+def _sentence(parts: list[str], left: int) -> str:
+    return "; ".join(parts) + (f"; and {left} more doubts" if left > 1 else "; and 1 more doubt" if left else "")
