@@ -127,7 +127,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
         **({"visited": correction.visited.tolist()} if isinstance(correction, ArmCorrection) else {}),
         "fit": {"frames": list(calibration.frames), "left_out": list(calibration.left_out)},
-        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and _claim_out(calibration.claim),
+        "held_out": json_file.nulls(asdict(calibration.held_out or NOT_HELD_OUT)), "claim": calibration.claim and asdict(calibration.claim),
         **({} if calibration.physics is None else {"physics": physics_out(calibration.physics)}),
         **({} if calibration.workspace is None else {"workspace": workspace_out(calibration.workspace)}),
         **({} if calibration.confounds is None else {"confounds": calibration.confounds.tree()}), "provenance": calibration.provenance,
@@ -224,11 +224,6 @@ def _held_out_in(table: Entries) -> HeldOut | None:
     configurations = table.whole("configurations", 0) if "configurations" in table.tree else after.n  # not in files of before they were counted
     return HeldOut(_figures_in(table.table("before")), after, tuple(table.array("floor", (2,), nulls=True).tolist()), tuple(ratio.tolist()),
                    configurations) if after.n else None
-
-
-def _claim_out(claim: Claim) -> dict[str, Any]:
-    tree = asdict(claim)
-    return tree if claim.unexplained else {name: value for name, value in tree.items() if name != "unexplained"}
 
 
 def _claim_in(table: Entries) -> Claim:

@@ -110,7 +110,8 @@ def test_verify_reports_held_out_figures(worked):
     text = run("verify", base / "calibration.json", base / "check", "--page", base / "verified.html").stdout
     assert "N = 20" in text and re.search(r"corrected\s+0\.0", text)
     page = (base / "verified.html").read_text()
-    assert "<strong>good</strong>" in page and "the claim is kept" in page and 'href="calibration.html"' in page and 'id="stage-data"' in page
+    state = tree["verdict"]["state"]
+    assert f"<strong>{state}</strong>" in page and text.startswith(f"{state}: ") and state != "bad" and "the claim is kept" in page and 'href="calibration.html"' in page and 'id="stage-data"' in page
     same = run("verify", base / "calibration.json", base / "fit")
     assert "not held out" in same.stderr
 

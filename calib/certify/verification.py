@@ -8,6 +8,7 @@ Source: docs/mathematics.md, the claim; Rao, Linear Statistical Inference, 2nd e
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from calib.samples import Samples
 from rig.pose import adjoint, exp
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
-DRAWS = 2000
+DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST
 NOTICED = 0.975  # chance with which an error of the size that is stated would have been noticed
 FEWEST = 8  # poses from which a rigid motion is estimated
 STEPS = 6  # of Gauss and Newton: motions of a metre and a radian converge in five
@@ -115,32 +116,35 @@ def _part(errors: np.ndarray, own: np.ndarray, common: np.ndarray, label: np.nda
     e, C, B = errors[:, rows], own[:, rows][:, :, rows], common[:, rows]
     whiten = _Whitener(C + claimed**2 / len(rows) * np.eye(len(rows)), B)
     n, d = e.shape
-    root = np.linalg.cholesky(C + 1e-12 * claimed**2 * np.eye(d))
-    count = int(label.max()) + 1
-    machine = rng.normal(size=(DRAWS, count, d))[:, label] * (claimed / math.sqrt(d))
-    noise = np.einsum("nij,qnj->qni", root, rng.normal(size=(DRAWS, n, d)))
-    noise = noise + np.einsum("nik,qk->qni", B, rng.normal(size=(DRAWS, B.shape[2])))
-    limit = math.sqrt(float(np.quantile(whiten.squares(machine + noise), LEVEL)) / (n * d))
-    squares = float(whiten.squares(e[None])[0])
-    return Part(float(np.sqrt((e**2).sum(axis=1).mean())), claimed, math.sqrt(squares / (n * d)), limit,
-                claimed * _noticed(whiten, machine, noise, limit**2 * n * d))
+    draws = int(np.clip(MOST // n, FEWEST_DRAWS, DRAWS))
+    root = np.linalg.cholesky(C + TINY**2 * np.eye(d))
+    machine = rng.normal(size=(draws, int(label.max()) + 1, d))[:, label] * (claimed / math.sqrt(d))
+    noise = np.einsum("nij,qnj->qni", root, rng.normal(size=(draws, n, d)))
+    noise = noise + np.einsum("nik,qk->qni", B, rng.normal(size=(draws, B.shape[2])))
+    alone, crossed, own_squares = whiten.squares(machine, machine), whiten.squares(machine, noise), whiten.squares(noise, noise)
+
+    def squares(times: float) -> np.ndarray:
+        return times**2 * alone + 2 * times * crossed + own_squares
+
+    limit = float(np.quantile(squares(1.0), LEVEL))
+    found = math.sqrt(float(whiten.squares(e[None], e[None])[0]) / (n * d))
+    times = _root(lambda size: float(np.quantile(squares(size), 1 - NOTICED)) - limit)
+    return Part(float(np.sqrt((e**2).sum(axis=1).mean())), claimed, found, math.sqrt(limit / (n * d)), claimed * times)
 
 
-def _noticed(whiten: "_Whitener", machine: np.ndarray, noise: np.ndarray, limit: float) -> float:
-    """By how many times the claim an error must exceed it to pass a limit of squares in NOTICED of draws; infinite beyond a thousand."""
-    few = slice(0, 200)
-    low, high = 0.0, 1000.0
-    if np.quantile(whiten.squares(high * machine[few] + noise[few]), 1 - NOTICED) < limit:
+def _root(rising: Callable[[float], float], most: float = 1e3) -> float:
+    """Where a rising function passes 0, to a part in a hundred; infinite beyond the most."""
+    low, high = 0.0, most
+    if rising(high) < 0:
         return math.inf
     while high - low > 0.01 * high:
         middle = (low + high) / 2
-        passed = np.quantile(whiten.squares(middle * machine[few] + noise[few]), 1 - NOTICED) > limit
-        low, high = (low, middle) if passed else (middle, high)
+        low, high = (low, middle) if rising(middle) > 0 else (middle, high)
     return high
 
 
 class _Whitener:
-    """Squares e' (diag(C) + B B')^-1 e of errors. C : (n, d, d); B : (n, d, k), by Woodbury's identity."""
+    """Products a' (diag(C) + B B')^-1 b of errors. C : (n, d, d); B : (n, d, k), by Woodbury's identity."""
 
     def __init__(self, C: np.ndarray, B: np.ndarray) -> None:
         self.inverse = np.linalg.inv(C)
@@ -148,11 +152,11 @@ class _Whitener:
         self.weighted = self.inverse @ B
         self.core = np.linalg.inv(np.eye(B.shape[2]) + np.einsum("nik,nil->kl", B, self.weighted))
 
-    def squares(self, e: np.ndarray) -> np.ndarray:
-        """(q,) of e (q, n, d)."""
-        alone = np.einsum("qni,nij,qnj->q", e, self.inverse, e, optimize=True)
-        z = np.einsum("nik,qni->qk", self.weighted, e)
-        return np.asarray(alone - np.einsum("qk,kl,ql->q", z, self.core, z))
+    def squares(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """(q,) of a and b (q, n, d)."""
+        alone = ((a[:, :, None] @ self.inverse)[:, :, 0] * b).sum(axis=(1, 2))
+        z, w = (np.tensordot(one, self.weighted, axes=((1, 2), (0, 1))) for one in (a, b))
+        return np.asarray(alone - ((z @ self.core) * w).sum(axis=1))
 
 
 def _offset(predicted: RigidTransform, samples: Samples, label: np.ndarray, claim: Claim, whole: float, rng: np.random.Generator) -> Offset | None:
