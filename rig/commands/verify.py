@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
+    parser.epilog = "Ends with 0 where the verdict is good or check, with 3 where it is bad: the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     add_recording(parser)
     add_json(parser)
