@@ -12,8 +12,8 @@ HEAD = """# The commands
 
 Made from the commands themselves; `rig COMMAND --help` says the same. A recording is a folder ([its tables](tables.md), [rig.toml](rig-toml.md)); SI
 units and radians in files, millimetres and milliradians where figures are printed. A command ends with 0 (done), 1 (refused, with a reason), 2
-(wrong usage), 3 (of `rig verify`, `rig certify`, `rig watch`: the verdict is bad), 130 (interrupted) or 143 (ended by a signal); [what commands write](files.md) says what they
-never write over.
+(wrong usage), 3 (of `rig verify`, `rig certify`, `rig watch`: the verdict is bad), 130 (interrupted) or 143 (ended by a signal);
+[what commands write](files.md) says what they never write over.
 """
 
 
