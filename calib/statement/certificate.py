@@ -12,8 +12,9 @@ from calib.certify.calibration import Calibration
 from calib.certify.conformity import Conformity
 from calib.certify.held_out import Figures, errors_of, figures
 from calib.certify.held_poses import HeldPoses, held_poses
+from calib.certify.iso9283 import Iso9283, duty_of, iso9283
 from calib.certify.promise import POSITION, ROTATION, Cell, Promise, Unit, cells, depth_bound, promised
-from calib.certify.repeats import Iso9283, Repeatability, iso9283, repeatability
+from calib.certify.repeats import Repeatability, repeatability
 from calib.certify.reversal import AxisTest, iso230
 from calib.confounds import Confounds, of_recordings
 from calib.pipeline import Sampled
@@ -28,13 +29,15 @@ from rig.recording import Recording
 @dataclass(frozen=True, slots=True)
 class Asked:
     """coverage, confidence : of the promise; tolerances : {"position": m, "rotation": rad} to judge against, either or none
-    scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did, in words."""
+    scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did, in words
+    rated_load : kg that the machine is made for, None where not stated."""
 
     coverage: float = 0.95
     confidence: float = 0.95
     tolerances: tuple[tuple[str, float], ...] = ()
     scale: float | None = None
     scale_source: str | None = None
+    rated_load: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +84,12 @@ def certified(calibration: Calibration, held: Sequence[tuple[Recording, Sampled]
     at = poses.first
     contributions = budget(poses, _model(calibration, poses), again, [(s.samples, s.measurement) for _, s in held], asked.scale,
                            thermometer(calibration, [(recording, s.samples) for recording, s in held]))
+    recordings = [recording for recording, _ in held]
+    circumstances = conditions(poses, recordings, [s.source for _, s in held])
+    duty = duty_of(poses, recordings, recordings[0].design, circumstances.payload, asked.rated_load)
     return Certificate(calibration.correction.nominal.kind, asked, promise, cells(poses, asked.coverage, asked.confidence, scale, units, rng),
-                       volume(poses, calibration.correction.nominal), again, iso9283(poses), iso230(calibration.correction, poses),
-                       _judged(poses, asked, rng), contributions,
-                       conditions(poses, [recording for recording, _ in held], [s.source for _, s in held]),
+                       volume(poses, calibration.correction.nominal), again, iso9283(poses, duty), iso230(calibration.correction, poses),
+                       _judged(poses, asked, rng), contributions, circumstances,
                        poses.errors[at], figures(poses.plain[at]), figures(poses.errors[at]), provenance,
                        of_recordings([recording for recording, _ in held]))
 

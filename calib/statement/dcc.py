@@ -135,8 +135,7 @@ def _result(part: ET.Element, c: Certificate) -> None:
                 [("position", c.repeatability.position, METRE), ("rotation", c.repeatability.rotation, RADIAN)])
     for axis in c.iso230:
         _quantities(results, f"ISO 230-2 of {axis.axis}", f"{axis.positions} positions, {axis.cycles} cycles",
-                    [(name, value, UNITS[axis.unit])
-                     for name, value in (("reversal B", axis.B), ("accuracy A", axis.A), ("repeatability R", axis.R))])
+                    [(name, value, UNITS[axis.unit]) for name, value in words.iso230_figures(axis)])
     _quantities(results, "expanded uncertainty, coverage factor 2", "contributions to a pose",
                 [(f"{row.name}, {what}", value, unit) for row in c.budget.rows
                  for what, value, unit in (("position", row.position, METRE), ("rotation", row.rotation, RADIAN))])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.conformity import CONFORMS, FAILS
-from calib.certify.repeats import FEWEST
+from calib.certify.iso9283 import FEWEST
 from calib.report import flat
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
@@ -84,10 +84,12 @@ def _standards(c: Certificate) -> list[str]:
     if not c.iso230:
         return [*parts, paragraph("No axis was moved alone to one position from both sides: a plan with ladder does that.")]
     unit = "um" if c.iso230[0].unit == "m" else "urad"
-    rows = [(a.axis, f"{a.B * 1e6:.1f}", f"{a.B_mean * 1e6:+.1f}", *("" if value is None else f"{value * 1e6:.1f}" for value in (a.A, a.R)),
-             f"{a.u * 1e6:.1f}", a.positions, a.cycles, "yes" if a.formal else "no") for a in c.iso230]
-    return [*parts, table(("axis", f"reversal B, {unit}", f"mean B, {unit}", f"accuracy A, {unit}", f"repeatability R, {unit}",
-                           f"u of one reading, {unit}", "positions", "cycles", "as many as the standard asks"), rows)]
+    rows = [(a.axis, *(f"{value * 1e6:.1f}" if value is not None else "" for _, value in words.iso230_figures(a)), f"{a.u * 1e6:.1f}", a.positions,
+             a.cycles, "yes" if a.formal else "no") for a in c.iso230]
+    names = [name for name, _ in words.iso230_figures(c.iso230[0])]
+    return [*parts, table(("axis", *names, "u of one reading", "positions", "cycles", "as many as the standard requires"), rows),
+            note(f"In {unit}. B reversal, M range of the mean deviations, E systematic deviation, R repeatability, A accuracy; with an arrow, of "
+                 "positions come to in that direction alone.")]
 
 
 def _budget(c: Certificate) -> list[str]:

@@ -121,9 +121,9 @@ def _standards(paper: _Paper, c: Certificate) -> None:
     if c.iso230:
         unit = "um" if c.iso230[0].unit == "m" else "urad"
         paper.head(f"ISO 230-2, {unit}")
-        paper.table(("axis", "B", "mean B", "A", "R", "u", "positions", "cycles", "as many as asked"),
-                    [(a.axis, f"{a.B * 1e6:.1f}", f"{a.B_mean * 1e6:+.1f}", *("" if value is None else f"{value * 1e6:.1f}" for value in (a.A, a.R)),
-                      f"{a.u * 1e6:.1f}", a.positions, a.cycles, "yes" if a.formal else "no") for a in c.iso230])
+        paper.table(("axis", *(name for name, _ in words.iso230_figures(c.iso230[0])), "u", "positions", "cycles"),
+                    [(a.axis, *("" if value is None else f"{value * 1e6:.1f}" for _, value in words.iso230_figures(a)),
+                      f"{a.u * 1e6:.1f}", a.positions, a.cycles) for a in c.iso230])
 
 
 def _rest(paper: _Paper, c: Certificate) -> None:

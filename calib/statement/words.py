@@ -1,7 +1,8 @@
 """A certificate in sentences: the first line says whose scale it rests on, the next what is promised."""
 
 from calib.certify.conformity import CONFORMS, FAILS
-from calib.certify.repeats import POSES, VISITS
+from calib.certify.iso9283 import POSES, VISITS
+from calib.certify.reversal import AxisTest
 from calib.statement.certificate import Certificate
 
 
@@ -121,5 +122,11 @@ def iso9283_line(c: Certificate) -> str:
     if not t.repeated:
         return f"ISO 9283 asks for {POSES} poses of {VISITS} visits; no pose was visited often enough for RP. {random}"
     least = min(row.visits for row in t.repeated)
-    formal = "as the standard asks" if t.formal else f"short of the standard's {POSES} poses of {VISITS} visits, and named so"
+    formal = "as the standard requires" if t.formal else f"not formal: {'; '.join(t.not_met)}"
     return f"{len(t.repeated)} poses of {least} visits and more, {formal}. Five poses say little of a volume. {random}"
+
+
+def iso230_figures(axis: AxisTest) -> list[tuple[str, float | None]]:
+    """(symbol of ISO 230-2:2014, value in m or rad) of one axis."""
+    return [("B", axis.B), ("mean B", axis.B_mean), ("M", axis.M), ("E", axis.E), ("E↑", axis.E_up), ("E↓", axis.E_down),
+            ("R", axis.R), ("R↑", axis.R_up), ("R↓", axis.R_down), ("A", axis.A), ("A↑", axis.A_up), ("A↓", axis.A_down)]

@@ -55,6 +55,17 @@ def relative(text: str) -> float:
     return value
 
 
+def load(text: str) -> float:
+    """A rated load, kg. Raises ArgumentTypeError"""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < 1e6:
+        raise ArgumentTypeError(f"{text!r} must be a load in kg, 0 or more")
+    return value
+
+
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
@@ -66,6 +77,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--confidence", metavar="SHARE", type=share, default=0.95, help="with which it is kept (0.95)")
     parser.add_argument("--scale-uncertainty", metavar="R", type=relative, help="relative standard uncertainty of the base targets' scale, as 20e-6")
     parser.add_argument("--scale-source", metavar="TEXT", help="who certified it, as a certificate's number")
+    parser.add_argument("--rated-load", metavar="KG", type=load, help="that the machine is made for, for ISO 9283")
     for name, who in (("laboratory", "who calibrated"), ("person", "who answers for it"), ("customer", "for whom"),
                       ("manufacturer", "who made the machine")):
         parser.add_argument(f"--{name}", metavar="NAME", default="not stated", help=f"{who}, for the digital calibration certificate")
@@ -105,7 +117,8 @@ def run(arguments: Namespace) -> None:
     from calib.statement import provenance, tree
     from calib.statement.certificate import Asked, certified
 
-    wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source)
+    wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source,
+                   arguments.rated_load)
     made = certified(calibration, held, wanted, provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
                      np.random.default_rng(SEED))
     progress.close()

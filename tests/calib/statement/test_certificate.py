@@ -124,6 +124,19 @@ def test_reversal_is_the_backlash_that_is_there(held):
     assert not any(axis["formal"] for axis in axes.values())
 
 
+def test_symbols_of_iso_230_2_stand_with_their_arrows(held):
+    axis = held.tree["iso230"][2]
+    assert axis["M"] <= axis["E"] and max(axis["E_up"], axis["E_down"]) <= axis["E"] and max(axis["R_up"], axis["R_down"]) <= axis["R"]
+    page = (held.folder / "made" / "certificate.html").read_text()
+    assert all(f"{name}{arrow}<" in page for name in "EAR" for arrow in "\u2191\u2193") and ">M<" in page
+
+
+def test_a_test_that_is_not_the_standards_says_so(held):
+    found = held.tree["iso9283"]
+    assert not found["formal"] and "poses were visited 30 times or more, where the standard has 5" in found["not_met"][0]
+    assert "not formal: " in (held.folder / "made" / "certificate.html").read_text()
+
+
 def test_physics_that_is_undone_is_part_of_what_is_certified(held):
     """A calibration that knows the backlash promises as much better as the machine then is; temperatures add through what they correct."""
     known = store.load(held.folder / "cal.json")
