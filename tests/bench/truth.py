@@ -22,10 +22,10 @@ from docs.make.results import SCHEMA
 from tests.bench.made_by import machine
 from tests.bench.truth_summary import figures_in_words
 from tests.bench.truth_trial import WAYS, Trial, tried
-from tests.truth import FAULTS, PLANS, STRENGTHS
+from tests.truth import FAULTS, PLANS, SIGHTS, STRENGTHS
 from tests.truth.draw_faults import fits
 
-NAMES = ("none", *FAULTS)
+NAMES = ("none", *FAULTS, *SIGHTS)
 
 
 def trials(machines: int, seed: int, ways: list[str], effects: list[str], strengths: list[str], plans: list[str]) -> Iterator[Trial]:
@@ -34,7 +34,7 @@ def trials(machines: int, seed: int, ways: list[str], effects: list[str], streng
         rng = np.random.default_rng([seed, number])
         way = ways[number % len(ways)]
         kind = WAYS[way].kind
-        known = [name for name in effects if fits(name, kind)]
+        known = [name for name in effects if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS)]
         effect = known[(number // len(ways) + 3 * (number % len(ways))) % len(known)]
         strength = "none" if effect == "none" else str(rng.choice(strengths))
         effect = "none" if strength == "none" else effect
@@ -97,7 +97,7 @@ def _in_words(line: dict[str, Any]) -> str:
     middle, low, high = (x * 1e6 for x in line["claim"])
     inside = "     " if line["covered"] else "LESS " if line["true"] < line["claim"][1] else "MORE "
     return (f"{line['machine']:60} {inside} {line['state']:5} true {line['true'] * 1e6:8.2f} um, claim {middle:8.2f} ({low:.2f} to {high:.2f}), "
-            f"noise {line['sigma'] * 1e6:.1f}, size {line['size'] * 1e6:.1f}, {line['seconds']:.1f} s")
+            f"noise {line['sigma']:.2g}, size {line['size'] * 1e6:.1f}, {line['seconds']:.1f} s")
 
 
 if __name__ == "__main__":

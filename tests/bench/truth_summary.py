@@ -55,11 +55,11 @@ def figures_in_words(lines: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
             out.append((f"{cell}: machines without a claim", str(found["refused"]), ""))
             continue
         held, low, high = found["covered"]
-        out.append((f"{cell}: claims whose 95 % interval covers the true position error",
-                    f"{held:.1%} ({low:.1%} to {high:.1%}) of {found['n']}; {found['above']} truths above, {found['below']} below",
-                    "93 to 98 %" if found["n"] >= 40 else ""))
-        out.append((f"{cell}: true error over 1.5 times the claim's upper end", f"{found['wrongly_good']} of {found['good']} good, "
-                    f"{found['beyond'] - found['wrongly_good']} of {found['n'] - found['good']} others", "0 good"))
+        out.append((f"{cell}: 95 % intervals that cover the true position error; good where it exceeds 1.5 times the upper end",
+                    f"{held:.1%} ({low:.1%} to {high:.1%}) of {found['n']}, {found['above']} above, {found['below']} below; "
+                    f"{found['wrongly_good']} of {found['good']} good, "
+                    f"{found['beyond'] - found['wrongly_good']} of {found['n'] - found['good']} others",
+                    "93 to 98 %; 0 good" if found["n"] >= 40 else "0 good"))
         if cell == "all" or cell.startswith("way: "):
             middle, low, high = found["true_over_claim"] or (float("nan"),) * 3
             out.append((f"{cell}: rotation covered; true position error over the claim's middle, median and 80 % between",

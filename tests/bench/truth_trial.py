@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from rig import cli
 from tests.bench.made_by import commit
-from tests.truth import Case, again, draw, drive, drive_in_time, errors, record, rms, wanted, write_sensors, write_wanted
+from tests.truth import SIGHTS, Case, again, draw, drive, drive_in_time, errors, record, rms, wanted, write_sensors, write_wanted
 
 POSES = 200  # driven to
 TIMED = 40  # driven to in time, where the calibration knows physics
@@ -23,17 +23,19 @@ HELD = 6.0  # s beyond the longest move that each pose in time is given
 
 @dataclass(frozen=True)
 class Way:
-    """kind : of machine; options : of `rig calibrate`; first : options of a calibration on whose top it stands, None without"""
+    """kind : of machine; options : of `rig calibrate`; first : options of a calibration on whose top it stands, None without
+    seen : whether cameras look, in place of an instrument"""
 
     kind: str = "hexapod"
     options: tuple[str, ...] = ()
     first: tuple[str, ...] | None = None
+    seen: bool = False
 
 
 WAYS = {"plain": Way(), "find": Way(options=("--find",)), "radial": Way(options=("--extend", "radial")),
         "alone": Way(options=("--extend", "radial", "--alone")), "auto": Way(options=("--extend", "auto")),
         "onto": Way(options=("--extend", "radial"), first=()), "arm": Way("arm"), "arm-auto": Way("arm", ("--extend", "auto")), "chain": Way("chain"),
-        "planar2": Way("planar2")}
+        "planar2": Way("planar2"), "seen": Way(seen=True), "seen-find": Way(options=("--find",), seen=True)}
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,9 @@ def judged() -> str:
 def tried(trial: Trial, folder: Path) -> dict[str, Any]:
     """The line of a trial, run in a folder; with `refused` where a command did not do its work."""
     begun, way = time.process_time(), WAYS[trial.way]
-    case = draw(trial.seed, trial.effect, trial.strength, trial.plan, way.kind)
+    case = draw(trial.seed, trial.effect, trial.strength, trial.plan, way.kind, seen=way.seen)
     line = {"machine": trial.name, "way": trial.way, "effect": trial.effect, "strength": trial.strength, "plan": trial.plan, "seed": trial.seed,
-            "law": type(case.laws[0]).__name__ if case.laws else None, "n_poses": len(case.seen), "sigma": case.sigma[0], "size": case.size,
+            "law": _law(case), "n_poses": len(case.way.looked), "sigma": case.sigma[0] if case.eyes is None else case.eyes.sigma, "size": case.size,
             "commit": judged()}
     try:
         calibration, state = _calibrated(case, way, folder)
@@ -75,6 +77,13 @@ def tried(trial: Trial, folder: Path) -> dict[str, Any]:
 
 class Refused(Exception):
     """A command that ended with another status than 0, and its last words."""
+
+
+def _law(case: Case) -> str | None:
+    """The name of the law of a case's fault, of seeing or of moving."""
+    if case.laws:
+        return type(case.laws[0]).__name__
+    return type(case.eyes.fault).__name__ if case.eyes is not None and case.effect in SIGHTS else None
 
 
 def _rig(*words: str | Path) -> None:

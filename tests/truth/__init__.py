@@ -8,8 +8,9 @@
     real = drive_in_time(case, t, values, looked)    # the same for commands with times, from the day's beginning; write_sensors for its log
     rms(errors(real, poses))                    # (position m, rotation rad)
 
-Effects are the names of FAULTS, each with several laws of the same physics; strengths "none", "weak" (one to two standard deviations of the
-instrument on an axis), "strong" (ten to fifty). Only numpy and scipy are imported here; a test holds that.
+Effects are the names of FAULTS, and of SIGHTS, which cameras see (corners.csv in place of poses.csv; seen=True for others too), each with several
+laws of the same physics; strengths "none", "weak" (one to two standard deviations of the instrument), "strong" (ten to fifty, as far as such things
+go). Only numpy and scipy are imported here; a test holds that.
 """
 
 from tests.truth.case import STRENGTHS, Case, again, draw, drive, drive_in_time, wanted
@@ -17,7 +18,8 @@ from tests.truth.draw_faults import FAULTS
 from tests.truth.draw_machines import KINDS
 from tests.truth.journey import PLANS
 from tests.truth.rigid import errors, matrices, rms, rows_of
+from tests.truth.sights import SIGHTS
 from tests.truth.written import record, write_sensors, write_wanted
 
-__all__ = ["FAULTS", "KINDS", "PLANS", "STRENGTHS", "Case", "again", "draw", "drive", "drive_in_time", "errors", "matrices", "record", "rms",
-           "rows_of", "wanted", "write_sensors", "write_wanted"]
+__all__ = ["FAULTS", "KINDS", "PLANS", "SIGHTS", "STRENGTHS", "Case", "again", "draw", "drive", "drive_in_time", "errors", "matrices", "record",
+           "rms", "rows_of", "wanted", "write_sensors", "write_wanted"]

@@ -4,22 +4,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.truth.draw_faults import FAULTS, LOADED, HURRIED, SLOW, Asked, fits
+from tests.truth.draw_faults import FAULTS, HURRIED, LOADED, SLOW, Asked, fits
 from tests.truth.draw_machines import nominal, secret
+from tests.truth.eyes import BETWEEN, Eyes, Sight, watching
 from tests.truth.journey import PLANS, Journey, journey, middle, visits
-from tests.truth.kinematics import Machine
+from tests.truth.kinematics import Machine, SixStruts
 from tests.truth.laws import Law, stood
 from tests.truth.motion import Conditions
 from tests.truth.rigid import displaced, rows_of
+from tests.truth.sights import SIGHTS, Scene
 
 STRENGTHS = ("none", "weak", "strong")
+LARGEST = 0.5  # px, of what a fault of seeing does to a corner
 
 
 @dataclass(frozen=True)
 class Case:
     """owner, machine : the machine as believed and as it is; laws : its faults; day : Conditions; way : Journey that was recorded
-    seen : (n, 6) poses in poses.csv; sigma : (m, rad) of the instrument, a coordinate; speeds : (axes,); dwell : s
+    seen : (n, 6) poses in poses.csv, or (k, 6) rows of corners.csv; sigma : (m, rad) of the instrument, a coordinate; speeds : (axes,); dwell : s
     mass, centre, payload : kg, m, m as rig.toml states them; logged : which sensors are kept: "temperature", "payload" or ""
+    size : m, of the fault on an axis, of SIGHTS in the same share of the noise; eyes : cameras, None where an instrument looks
     """
 
     seed: int
@@ -42,19 +46,22 @@ class Case:
     payload: np.ndarray
     logged: str
     size: float
+    eyes: Eyes | None = None
 
 
 def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: str = "shuffled", kind: str = "hexapod",
-         count: int | None = None, variant: int | None = None) -> Case:
+         count: int | None = None, variant: int | None = None, seen: bool | None = None) -> Case:
     """Case of a seed: the same for the same arguments, on any computer with the same numpy.
 
-    effect : a name of FAULTS, or "none"; strength : of STRENGTHS: nothing, one to two standard deviations of the instrument, or ten to fifty
-    plan : of PLANS; kind : of draw_machines.KINDS; count : configurations, 14 (ladders) or 14 to 60 by default; variant : which of the fault's laws,
-    any by default. Raises ValueError for names that are not known.
+    effect : a name of FAULTS or of SIGHTS, or "none"; strength : of STRENGTHS: nothing, one to two standard deviations of the instrument, or ten to
+    fifty; plan : of PLANS; kind : of draw_machines.KINDS; count : configurations, 14 (ladders) or 14 to 60 by default; variant : which of the
+    fault's laws, any by default; seen : whether cameras look at cubes, in place of an instrument; by default for SIGHTS alone
+    Raises ValueError for names that are not known.
     """
-    if strength not in STRENGTHS or plan not in PLANS or effect not in (*FAULTS, "none"):
+    seen = effect in SIGHTS if seen is None else seen
+    if strength not in STRENGTHS or plan not in PLANS or effect not in (*FAULTS, *SIGHTS, "none"):
         raise ValueError(f"no case of {effect!r}, {strength!r}, {plan!r}")
-    if not fits(effect, kind):
+    if not fits(effect, kind) or (seen and kind != "hexapod") or (effect in SIGHTS and not seen):
         raise ValueError(f"there is no law of {effect} for a machine of kind {kind!r}")
     rng = np.random.default_rng([seed, *effect.encode(), *plan.encode(), *kind.encode()])
     owner = nominal(kind, rng)
@@ -62,8 +69,8 @@ def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: st
     sigma = float(10 ** rng.uniform(-6, -5.2))
     if count is None:
         count = 14 if plan == "ladders" else int(rng.integers(14, 61))
-        count = max(count, 20) if kind != "hexapod" else count
-    dwell = 60.0 if effect in SLOW else float(rng.uniform(5, 20)) if effect == "creep" else 2.0
+        count = max(count, 20) if kind != "hexapod" else min(count, 30) if seen else count
+    dwell = 60.0 if effect in SLOW or effect == "focal_drift" else float(rng.uniform(5, 20)) if effect == "creep" else 2.0
     speeds = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 0.5, 0.02)
     way = journey(visits(plan, owner.ranges, count, rng), owner.ranges.mean(axis=1), speeds, dwell, effect in HURRIED)
     warmth = float(rng.uniform(4, 8))
@@ -80,34 +87,49 @@ def draw(seed: int, effect: str = "backlash", strength: str = "strong", plan: st
         axes[int(rng.integers(owner.width))] = 1.0
     else:
         axes = rng.uniform(0.3, 1.2, owner.width)
-    size = {"none": 0.0, "weak": float(rng.uniform(1, 2)), "strong": float(10 ** rng.uniform(1, 1.7))}[strength] * sigma
+    size = {"none": 0.0, "weak": float(rng.uniform(1, 2)), "strong": float(10 ** rng.uniform(1, 1.7))}[strength]
+    eyes = _eyes(owner, effect, size, (span, warmth), variant, rng) if seen else None
+    sigma = sigma if eyes is None else eyes.sigma * 4.5 * float(np.linalg.norm(owner.base[0])) / 1650.0 / 3  # some ten corners' share of a pose
     laws: tuple[Law, ...] = ()
-    if size > 0 and effect != "none":
+    if size > 0 and effect in FAULTS:
         scale = np.where(np.ptp(owner.ranges, axis=1) > 0.5, 2.0, 1.0)  # an arm's angles, at half a metre
-        found = FAULTS[effect](Asked(size, axes * scale, machine, way, warmth, mass, centre, payload, rng))
+        found = FAULTS[effect](Asked(size * sigma, axes * scale, machine, way, warmth, mass, centre, payload, rng))
         chosen = int(rng.integers(len(found)))
         variant = chosen if variant is None else variant % len(found)
         laws = (found[variant],)
     sigmas = (sigma, sigma / 0.1)
-    logged = "temperature" if effect in SLOW[::2] else "payload" if effect in LOADED else ""
-    seen = _seen(machine, way, day, laws, sigmas, rng)
-    return Case(seed, kind, effect, strength, plan, variant or 0, owner, machine, laws, day, way, seen, sigmas, speeds, dwell, mass, centre,
-                payload, logged, size)
+    logged = "temperature" if effect in ("thermal_expansion", "base_expansion", "focal_drift") else "payload" if effect in LOADED else ""
+    case = Case(seed, kind, effect, strength, plan, variant or 0, owner, machine, laws, day, way, np.zeros((0, 6)), sigmas, speeds, dwell,
+                mass, centre, payload, logged, size * sigma, eyes)
+    return replace(case, seen=_seen(case, rng))
 
 
 def again(case: Case, plan: str = "shuffled") -> Case:
     """The same machine, fault and day recorded once more, by a plan with as many configurations drawn anew (14 with ladders)."""
     rng = np.random.default_rng([case.seed, 99])
-    count = 14 if plan == "ladders" else min(len(case.seen), 60)
+    count = 14 if plan == "ladders" else min(len(case.way.looked), 60)
     places = visits(plan, case.owner.ranges, count, rng)
     way = journey(places, case.owner.ranges.mean(axis=1), case.speeds, case.dwell, case.effect in HURRIED)
-    return replace(case, plan=plan, way=way, seen=_seen(case.machine, way, case.day, case.laws, case.sigma, rng))
+    case = replace(case, plan=plan, way=way)
+    return replace(case, seen=_seen(case, rng))
 
 
-def _seen(machine: Machine, way: Journey, day: Conditions, laws: tuple[Law, ...], sigma: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
-    """(n, 6) poses as the instrument has them."""
-    noise = rng.normal(size=(len(way.looked), 6)) * np.repeat(sigma, 3)
-    return rows_of(displaced(stood(machine, way, day, laws), noise))
+def _seen(case: Case, rng: np.random.Generator) -> np.ndarray:
+    """What was seen of a case, as in Case.seen."""
+    if case.eyes is None:
+        noise = rng.normal(size=(len(case.way.looked), 6)) * np.repeat(case.sigma, 3)
+        return rows_of(displaced(stood(case.machine, case.way, case.day, case.laws), noise))
+    before, now, after = (stood(case.machine, case.way, case.day, case.laws, case.way.looked + dt) for dt in (-BETWEEN, 0.0, BETWEEN))
+    return case.eyes.corners(case.way.looked, (before, now, after), case.day, rng)
+
+
+def _eyes(owner: SixStruts, effect: str, size: float, lasted: tuple[float, float], variant: int | None, rng: np.random.Generator) -> Eyes:
+    """Cameras about a platform, with a fault of so many standard deviations of a corner. lasted : (s, K) of the recording and its warmth"""
+    radius, sigma = float(np.linalg.norm(owner.base[0])), float(rng.uniform(0.02, 0.06))
+    own = rng.spawn(1)[0]  # so that all else is drawn alike, whatever the fault
+    scene = Scene(min(size * sigma, LARGEST), 1650.0, 4.5 * radius, *lasted, 0.012, 0.22 * radius, own)
+    found = SIGHTS[effect](scene) if effect in SIGHTS and size > 0 else [Sight()]
+    return watching(radius, owner.height, found[int(own.integers(len(found))) if variant is None else variant % len(found)], sigma, rng)
 
 
 def wanted(case: Case, count: int = 120) -> np.ndarray:

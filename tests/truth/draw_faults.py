@@ -165,7 +165,7 @@ FAULTS: dict[str, Callable[[Asked], list[Law]]] = {
     "servo_lag": _lag, "creep": _creep, "thermal_expansion": _heat, "warm_up": _warm_up, "screw_coupling": _twist,
     "compliance": _give,    "joint_clearance": _loose, "base_expansion": _base, "vibration": _shaken, "time_offset": _clock, "clock_drift": _drifting,
     "axis_coupling": _coupled, "settling_error": _settling}
-HURRIED = ("servo_lag", "time_offset", "clock_drift")  # which show while moving alone: looked at just as it should have arrived
+HURRIED = ("servo_lag", "time_offset", "clock_drift", "rolling_shutter")  # which show while moving alone: looked at just as it should have arrived
 SLOW = ("thermal_expansion", "warm_up", "base_expansion")  # which take the better part of an hour
 LOADED = ("compliance", "joint_clearance")  # which depend on what is carried
 STRUTS_ALONE = ("screw_coupling", "compliance", "joint_clearance", "base_expansion")

@@ -7,6 +7,7 @@ import numpy as np
 
 from tests.truth.case import Case
 from tests.truth.draw_faults import LEAD
+from tests.truth.eyes import FACES, HIGH, WIDE, Eyes
 from tests.truth.kinematics import Arm, Chain, Hinge, Machine, SixStruts
 from tests.truth.motion import EVERY
 from tests.truth.rigid import rows_of
@@ -21,14 +22,28 @@ def record(case: Case, folder: str | Path) -> Path:
     (folder / "rig.toml").write_text(rig_toml(case))
     table(folder / "commands.csv", ("t", *case.owner.names), np.column_stack([case.way.t, case.way.values]))
     frames = np.arange(len(case.way.looked))
-    (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{k},{t:.9f},,\n" for k, t in zip(frames, case.way.looked)))
-    square = np.diag(np.repeat(np.square(case.sigma), 3))[np.triu_indices(6)]
-    rows = ["frame,x,y,z,rx,ry,rz," + ",".join(UPPER)]
-    rows += [",".join([str(k), *(f"{x:.12g}" for x in (*pose, *square))]) for k, pose in zip(frames, case.seen)]
-    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    names = [""] if case.eyes is None else [camera.name for camera in case.eyes.stated]
+    (folder / "frames.csv").write_text("frame,t,camera,image\n" + "".join(f"{k},{t:.9f},{name},\n" for k, t in zip(frames, case.way.looked)
+                                                                          for name in names))
+    (_write_poses if case.eyes is None else _write_corners)(case, folder)
     if case.logged:
         write_sensors(case, folder / "sensors.csv", float(case.way.t[-1]))
     return folder
+
+
+def _write_poses(case: Case, folder: Path) -> None:
+    square = np.diag(np.repeat(np.square(case.sigma), 3))[np.triu_indices(6)]
+    rows = ["frame,x,y,z,rx,ry,rz," + ",".join(UPPER)]
+    rows += [",".join([str(k), *(f"{x:.12g}" for x in (*pose, *square))]) for k, pose in enumerate(case.seen)]
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+
+
+def _write_corners(case: Case, folder: Path) -> None:
+    assert case.eyes is not None
+    rows = ["frame,camera,marker,corner,u,v,sigma"]
+    for frame, camera, marker, corner, u, v in case.seen[np.lexsort(case.seen[:, 3::-1].T)]:
+        rows.append(f"{frame:.0f},{case.eyes.stated[int(camera)].name},{marker:.0f},{corner:.0f},{u:.6f},{v:.6f},{case.eyes.sigma:.6g}")
+    (folder / "corners.csv").write_text("\n".join(rows) + "\n")
 
 
 def write_sensors(case: Case, path: Path, last: float) -> None:
@@ -61,13 +76,34 @@ def table(path: Path, names: Iterable[str], rows: np.ndarray) -> None:
 def rig_toml(case: Case) -> str:
     """Text of the owner's rig.toml."""
     parts = ['schema = "rig/1"', f'name = "truth {case.seed}"', "", "[environment]", "gravity = [0.0, 0.0, -9.80665]", "",
-             *_mechanism(case.owner), "", "[instrument]", 'base = "rig"', 'tool = "rig"', f"position_sigma = {case.sigma[0]!r}",
-             f"rotation_sigma = {case.sigma[1]!r}", "", "[actuator]", f"screw_lead = {LEAD}",
+             *_mechanism(case.owner), "", "[actuator]", f"screw_lead = {LEAD}",
              'joints = "cardan-cardan"', f"max_speed = {float(case.speeds[0])!r}", ""]
     if case.kind == "hexapod":
         parts += ["[platform]", f"mass = {case.mass!r}", f"centre_of_mass = {_list(case.centre)}",
                   f"payload_centre_of_mass = {_list(case.payload)}", ""]
+    if case.eyes is None:
+        parts += ["[instrument]", 'base = "rig"', 'tool = "rig"', f"position_sigma = {case.sigma[0]!r}", f"rotation_sigma = {case.sigma[1]!r}", ""]
+    else:
+        parts += _cameras(case.eyes)
     return "\n".join(parts)
+
+
+def _cameras(eyes: Eyes) -> list[str]:
+    lines = []
+    for camera in eyes.stated:
+        matrix = [[camera.focal, 0.0, float(camera.middle[0])], [0.0, camera.focal, float(camera.middle[1])], [0.0, 0.0, 1.0]]
+        lines += ["[[camera]]", f'name = "{camera.name}"', f"width = {WIDE}", f"height = {HIGH}", f"matrix = {matrix}",
+                  f"distortion = {_list(camera.lens)}", f"pose = {_pose(camera.place)}", ""]
+    for cube in eyes.cubes:
+        faces = ", ".join(f'"{face}" = {cube.first + k}' for k, face in enumerate(FACES))
+        lines += ["[[target]]", f'name = "{cube.name}"', f'body = "{"platform" if cube.moves else "base"}"', f"edge = {cube.edge!r}",
+                  f"marker = {cube.side!r}", 'dictionary = "DICT_5X5_100"', f"faces = {{ {faces} }}", f"pose = {_pose(cube.place)}", ""]
+    return lines
+
+
+def _pose(place: np.ndarray) -> str:
+    row = rows_of(place[None])[0]
+    return f"{{ position = {_list(row[:3])}, rotvec = {_list(row[3:])} }}"
 
 
 def _list(values: np.ndarray) -> str:
