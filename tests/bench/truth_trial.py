@@ -86,12 +86,14 @@ def _law(case: Case) -> str | None:
     return type(case.eyes.fault).__name__ if case.eyes is not None and case.effect in SIGHTS else None
 
 
-def _rig(*words: str | Path) -> None:
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+def _rig(*words: str | Path) -> str:
+    """What a command prints on the standard output. Raises Refused."""
+    out, beside = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(beside):
         status = cli.main([*map(str, words), "--quiet"])
     if status:
-        raise Refused(f"{words[0]}: {' '.join(out.getvalue().split())[-300:]}")
+        raise Refused(f"{words[0]}: {' '.join((out.getvalue() + beside.getvalue()).split())[-300:]}")
+    return out.getvalue()
 
 
 def _calibrated(case: Case, way: Way, folder: Path) -> tuple[Path, str]:
@@ -101,12 +103,8 @@ def _calibrated(case: Case, way: Way, folder: Path) -> tuple[Path, str]:
     if way.first is not None:
         _rig("calibrate", record(case, folder / "first"), *way.first, "--out", folder / "first.json")
         case, options = again(case, case.plan), [*options, "--onto", str(folder / "first.json")]
-    _rig("calibrate", record(case, folder / "recording"), *options, "--out", made)
-    stored = json.loads(made.read_text())
-    if "verdict" in stored:
-        return made, stored["verdict"]["state"]
-    ratio = stored["claim"]["ratio"]
-    return made, "check" if ratio is None or stored["claim"].get("unexplained") else "good" if ratio[1] > 1 else "bad" if ratio[2] < 1 else "check"
+    told = json.loads(_rig("calibrate", record(case, folder / "recording"), *options, "--out", made, "--json"))
+    return made, told["verdict"]["state"]
 
 
 def _driven(case: Case, calibration: Path, folder: Path) -> dict[str, Any]:

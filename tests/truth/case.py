@@ -144,19 +144,24 @@ def wanted(case: Case, count: int = 120) -> np.ndarray:
 def drive(case: Case, values: np.ndarray) -> np.ndarray:
     """(n, 4, 4) poses at which the machine really stands when commanded to values (n, axes) in turn, as fast and with dwells as recorded.
 
-    It starts from home anew, and the recording's day with it, as often as the day recorded is over: conditions stay inside those recorded.
+    It starts from home anew, and the recording's day with it, as often as the day recorded is over: conditions stay inside those recorded. Only steps
+    that were lost are lost.
     """
     out, home, left = [], case.owner.ranges.mean(axis=1), np.asarray(values, float)
     while len(left):
         ends = journey(left, home, case.speeds, case.dwell, case.effect in HURRIED).looked
         count = max(int(np.searchsorted(ends, case.way.t[-1])), 1)
         way = journey(left[:count], home, case.speeds, case.dwell, case.effect in HURRIED)
-        out.append(stood(case.machine, way, case.day, case.laws))
+        out.append(stood(case.machine, way, case.day, _later(case)))
         left = left[count:]
     return np.concatenate(out)
 
 
 def drive_in_time(case: Case, t: np.ndarray, values: np.ndarray, looked: np.ndarray) -> np.ndarray:
     """(n, 4, 4) poses at which the machine really stands at looked (n,) s, under command rows t (k,) s, values (k, axes) that begin the day."""
-    return stood(case.machine, Journey(t, values, looked), case.day, case.laws)
+    return stood(case.machine, Journey(t, values, looked), case.day, _later(case))
+
+
+def _later(case: Case) -> tuple[Law, ...]:
+    return tuple(law.later() for law in case.laws)
 

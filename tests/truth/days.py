@@ -1,6 +1,7 @@
 """Faults of heat and time: expansion, warming up, growing plates, lost steps, shaking, clocks."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -85,6 +86,9 @@ class Lost(Law):
 
     moments: np.ndarray
     sizes: np.ndarray
+
+    def later(self) -> Self:
+        return replace(self, moments=np.full(len(self.moments), -1.0))
 
     def beyond(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
         return self.axes * ((motion.looked[:, None] > self.moments) @ self.sizes)[:, None]

@@ -1,7 +1,7 @@
 """What a law of a fault may do to a machine, and how a machine with laws is driven in time."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -18,6 +18,10 @@ class Law:
     axes: np.ndarray
 
     posed = False  # whether its lengths depend on where the platform stands
+
+    def later(self) -> Self:
+        """The law on the days after the recording."""
+        return self
 
     def clock(self, t: np.ndarray) -> np.ndarray:
         """(n,) s on the commands' clock of exposures logged at t (n,) s."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.truth import FAULTS, draw, rms
+from tests.truth import FAULTS, draw, drive, rms
 from tests.truth.days import Clocked, GrowingBase, GrownLinks, Warming
 from tests.truth.draw_machines import nominal
 from tests.truth.journey import Journey
@@ -121,3 +121,11 @@ def test_strong_faults_show_and_none_do_not(effect):
         real = stood(case.machine, case.way, case.day, case.laws)
         assert 0.1 * case.size < rms(errors(real, sound))[0] < 30 * case.size
         assert rms(errors(stood(case.machine, case.way, case.day, draw(3, effect, "none", "shuffled", count=20).laws), sound))[0] == 0
+
+
+def test_steps_lost_stay_lost():
+    case = draw(4, "missed_steps", "strong", "shuffled", count=14)
+    values = case.way.values[1::2][:3]
+    sound = case.machine.forward(values)
+    assert rms(errors(drive(case, values), sound))[0] > 0.3 * case.size
+    assert rms(errors(stood(case.machine, case.way, case.day, case.laws)[:2], case.machine.forward(case.way.at(case.way.looked[:2]))))[0] == 0
