@@ -128,4 +128,4 @@ def test_steps_lost_stay_lost():
     values = case.way.values[1::2][:3]
     sound = case.machine.forward(values)
     assert rms(errors(drive(case, values), sound))[0] > 0.3 * case.size
-    assert rms(errors(stood(case.machine, case.way, case.day, case.laws)[:2], case.machine.forward(case.way.at(case.way.looked[:2]))))[0] == 0
+    assert rms(errors(stood(case.machine, case.way, case.day, case.laws)[:2], case.machine.forward(case.way.at(case.way.looked[:2]))))[0] < 1e-12
