@@ -23,7 +23,7 @@ from tests.bench.made_by import machine
 from tests.bench.truth_summary import figures_in_words
 from tests.bench.truth_trial import WAYS, Trial, tried
 from tests.truth import FAULTS, PLANS, SIGHTS, STRENGTHS
-from tests.truth.draw_faults import fits
+from tests.truth.draw_faults import HURRIED, fits
 
 NAMES = ("none", *FAULTS, *SIGHTS)
 
@@ -34,7 +34,8 @@ def trials(machines: int, seed: int, ways: list[str], effects: list[str], streng
         rng = np.random.default_rng([seed, number])
         way = ways[number % len(ways)]
         kind = WAYS[way].kind
-        known = [name for name in effects if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS)]
+        finds = "--find" in WAYS[way].options  # whose commands in time wait at every pose
+        known = [name for name in effects if fits(name, kind) and (WAYS[way].seen or name not in SIGHTS) and not (finds and name in HURRIED)]
         effect = known[(number // len(ways) + 3 * (number % len(ways))) % len(known)]
         strength = "none" if effect == "none" else str(rng.choice(strengths))
         effect = "none" if strength == "none" else effect

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
+SMALL = 20  # machines; cells of one effect, or of one way and strength, that have fewer are not told apart
 WRONG = 1.5  # times the claim's upper end, beyond which a calibration that says good is wrong
 
 
@@ -51,6 +52,8 @@ def figures_in_words(lines: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     """(figure, reached, wanted) of every cell."""
     out = []
     for cell, found in summary(lines).items():
+        if cell.partition(":")[0] in ("effect", "way, strength") and found["n"] < SMALL:
+            continue
         if not found["n"]:
             out.append((f"{cell}: machines without a claim", str(found["refused"]), ""))
             continue
