@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.truth import KINDS, PLANS, draw, drive, errors, matrices, record, rms, wanted
 from tests.truth.draw_machines import nominal, secret
@@ -54,3 +56,21 @@ def test_the_same_seed_is_the_same_case(tmp_path):
     assert sorted(p.name for p in one.iterdir()) == ["commands.csv", "frames.csv", "poses.csv", "rig.toml"]
     for path in one.iterdir():
         assert path.read_bytes() == (two / path.name).read_bytes()
+
+
+def test_an_arm_stands_where_pinocchio_has_it():
+    rng = np.random.default_rng(6)
+    arm = secret(nominal("arm", rng), 5e-3, rng)
+    model, fixed = pinocchio.Model(), pinocchio.SE3.Identity()
+    joint = 0
+    for i, (theta, d, a, alpha) in enumerate(arm.rows):  # each turns about the z that the rows before leave it
+        joint = model.addJoint(joint, pinocchio.JointModelRZ(), fixed, f"joint{i}")
+        turn = Rotation.from_euler("z", theta + arm.zeros[i]) * Rotation.from_euler("x", alpha)
+        lean = Rotation.from_euler("z", theta + arm.zeros[i]).apply([a, 0, d])
+        fixed = pinocchio.SE3((turn * Rotation.from_euler("y", arm.tilts[i])).as_matrix(), lean)
+    hand = model.addFrame(pinocchio.Frame("hand", joint, 0, fixed, pinocchio.FrameType.OP_FRAME))
+    data = model.createData()
+    values = middle(arm.ranges, rng.uniform(size=(5, 6)))
+    for q, pose in zip(values, arm.forward(values)):
+        pinocchio.framesForwardKinematics(model, data, q)
+        assert np.allclose(data.oMf[hand].homogeneous, pose, atol=1e-12)
