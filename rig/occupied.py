@@ -14,6 +14,7 @@ import stat
 import struct
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
@@ -65,7 +66,8 @@ class Occupied:
     def __exit__(self, *_: object) -> None:
         self._open = False
         for held in self._sockets:
-            held.shutdown(socket.SHUT_RDWR)
+            with suppress(OSError):  # closed, in a forked child
+                held.shutdown(socket.SHUT_RDWR)
         self._thread.join()
         self._close()
 

@@ -1,9 +1,13 @@
 """The commands that move struts, against an emulated controller at a pseudo-terminal."""
 
+import contextlib
 import json
 import multiprocessing
+import os
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +23,7 @@ from rig.errors import RigError
 from rig.occupied import Occupied, interrupt
 from rig.pose import vector
 from synthetic import world
+from tests.conftest import ROOT
 from tests.running import EmulatedRig, runner
 
 
@@ -113,6 +118,55 @@ def test_a_dry_run_needs_no_machine_and_a_run_leaves_a_recording(emulated, rig, 
     assert "another plan" in said(capsys, "run", rig, "--plan", "sobol:4", "--out", out, "--resume", ok=False)
     rows = [json.loads(line) for line in (tmp_path / "rec" / "journal.jsonl").read_text().splitlines()]
     assert [row["kind"] for row in rows].count("exposed") == 3
+
+
+FLOOD = """
+import socket, sys, time
+there = []
+while True:
+    try:
+        for k in range(20):
+            one = socket.create_connection(("127.0.0.1", int(sys.argv[1])), timeout=5)
+            one.sendall(b"GET / HTTP/1.1\\r\\n" + (b"", b"Host: x\\r\\n\\r\\n")[k % 2])
+            there.append(one)
+        print(len(there), flush=True)
+    except OSError:
+        break
+    del there[:-500]
+"""
+
+
+def test_a_run_goes_on_to_its_end_though_its_page_is_flooded(emulated, rig, capsys, tmp_path):
+    said(capsys, "home", rig)
+    before, log = len(emulated.told()), tmp_path / "log"
+    process = runner(["run", rig, "--plan", "sobol:6", "--out", str(tmp_path / "rec"), "--settle", "time:0.3", "--exposure", "keep", "--no-measure",
+                      "--page"], log)
+    while process.is_alive() and not (log.exists() and (port := re.search(r"127.0.0.1:(\d+)/", log.read_text()))):
+        process.join(0.01)
+    with subprocess.Popen([sys.executable, "-c", FLOOD, port[1]], stdout=subprocess.PIPE) as flood:
+        most = 0
+        while process.is_alive():
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                most = max(most, len(os.listdir(f"/proc/{process.pid}/fd")))
+            process.join(0.02)
+        flood.kill()
+        asked = len(flood.stdout.read().split())
+    assert process.exitcode == 0 and "6 frames in" in log.read_text() and len(emulated.told()) - before == 7
+    assert asked and most < 100, "of its files the page has a few, whoever asks"
+
+
+def test_stop_finds_who_drives_from_a_bare_environment(emulated, rig, capsys, tmp_path, monkeypatch):
+    said(capsys, "home", rig)
+    before, log = len(emulated.told()), tmp_path / "log"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    process = runner(["jog", rig, "--by", "30", "--speed", "0.001"], log)
+    while process.is_alive() and len(emulated.told()) == before:
+        process.join(0.001)
+    code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from rig.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([sys.executable, "-c", code, str(ROOT), "stop", rig], env={}, capture_output=True, text=True, cwd="/")
+    assert done.returncode == 0 and f"process {process.pid}, which drove them, was stopped" in done.stdout, done.stderr
+    process.join(10)
+    assert process.exitcode == 128 + signal.SIGTERM
 
 
 def test_one_process_drives(rig, capsys):

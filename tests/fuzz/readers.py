@@ -27,6 +27,7 @@ from rig.importing.recipe import ForeignTable
 from rig.observed import COVARIANCE_COLUMNS, load_corners, load_poses
 from rig.pose import TRIANGLE
 from synthetic import score, simulation, world
+from tests.fuzz.laws import laws
 from vision.lenses import board
 
 
@@ -50,7 +51,8 @@ def readers(folder: Path) -> list[Reader]:
     for name, keep in (("corners.csv", 9), ("sensors.csv", 99), ("commands.csv", 99)):
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[:keep]) + "\n")
     held = recording.load(folder)
-    return [*_files(folder, design, held), *_json(folder, design, done), *_texts(design), *_foreign(folder, design)]
+    known = [*_files(folder, design, held), *_json(folder, design, done), *_texts(design), *_foreign(folder, design)]
+    return known + [Reader(*law) for law in laws((folder / "calibration.json").read_bytes())]
 
 
 def _files(folder, design, held):
