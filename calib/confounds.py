@@ -24,6 +24,7 @@ from rig.recording import PAYLOAD, Recording
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
 ABSORBED = 0.5  # share of a cause, beyond chance, from which a correction by place absorbs more of it than it leaves
 CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
+EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
 SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
 VARIES = {TIME: 60.0, LOAD: 1e-6, "temperature": 0.05}  # s, kg, K: range below which a cause counts as constant
 
@@ -82,6 +83,14 @@ def confounds(samples: Samples, mechanism: Struts | Arm | Chain | Free) -> Confo
     if known is None:
         return None
     return of_design(samples.commanded, known.direction, known.t, known.channels, mechanisms.places(mechanism))
+
+
+def of_configurations(values: np.ndarray, start: np.ndarray, mechanism: Struts | Arm | Chain | Free) -> Confounds:
+    """Confounds of configurations (n, axes) m or rad visited straight from one to the next, at even times, from start (axes,) on."""
+    way = np.sign(np.diff(np.concatenate([start[None], values]), axis=0))
+    latest = np.maximum.accumulate(np.where(way != 0, np.arange(len(way))[:, None], -1), axis=0)
+    direction = np.where(latest < 0, 0.0, np.take_along_axis(way, np.maximum(latest, 0), axis=0))
+    return of_design(values, direction, EVEN * np.arange(len(values)), {}, mechanisms.places(mechanism))
 
 
 def of_recordings(recordings: Sequence[Recording]) -> Confounds | None:

@@ -10,6 +10,7 @@ from calib.correct.correction import closed
 from calib.freedoms import freedoms
 from calib.identify.d_optimal import exchanged, summed
 from rig import mechanisms
+from rig.balance import balanced_order
 from rig.configurations import low_discrepancy
 from rig.design import Arm, Chain, Planar2
 from rig.errors import RigError
@@ -22,7 +23,8 @@ FEWEST = 2  # markers of what moves that a configuration must show
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Informative:
-    """values : (n, axes) m or rad, chosen; names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
+    """values : (n, axes) m or rad, chosen, ordered so that neither time nor direction is a function of place
+    names, units : of the parameters asked for, "m" or "rad"; sigma, even : (p,) their standard errors by
     these, and by as many spread evenly, along what these tell at all; untold : how many combinations keep half of what they may be off by or more
     seen : share of all configurations tried in which the machine is seen"""
 
@@ -66,4 +68,6 @@ def choose(mechanism: Arm | Chain | Planar2, count: int, sigmas: tuple[float, fl
     sharp = vectors[:, told_by > TOLD]
     sigma, plain = (size * np.sqrt(np.einsum("pi,ij,pj->p", sharp, sharp.T @ np.linalg.inv(np.eye(len(size)) + summed(rows, chosen)) @ sharp, sharp))
                     for chosen in (picked, even))
-    return Informative(values[seen][picked], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))
+    chosen = values[seen][picked]
+    order = balanced_order(chosen, np.random.default_rng(seed), kinematics.travel(mechanism).mean(axis=1))
+    return Informative(chosen[order], asked.names, asked.units, sigma, plain, len(size) - sharp.shape[1], float(seen.mean()))

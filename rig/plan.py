@@ -17,7 +17,7 @@ from rig.design import Design
 from rig.errors import FileError, RigError
 from rig.outside import shown
 from rig.plan_table import MOST, in_time, within
-from rig.plan_writer import STEP, Plan, Writer
+from rig.plan_writer import STEP, Approach, Plan, Writer
 from rig.recording import PAYLOAD, Sensors
 
 SPEED = 0.5  # of the actuator's top speed
@@ -43,8 +43,11 @@ def settled(configurations: np.ndarray, start: np.ndarray, speed: float | np.nda
 
 def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own: Mapping[str, np.ndarray] | None = None) -> Plan:
     """Plan of a design from its text, for example "sobol:100,moving:60"; "standard" stands for STANDARD. one_sided : whether every
-    configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits}, besides these
+    configuration at which the struts settle is reached from shorter struts; own : {part: configurations (n, axes) that it visits in that order},
+    besides these
 
+    Scattered configurations (sobol, division, grid, simplices, axes, combined, payload, warmup, repeat) are shuffled and approached from sides so
+    that neither time nor direction is a function of place (see rig.balance). A ladder, iso9283 and commands keep their order and go straight.
     Parts: sobol:N, division:Q (see rig.configurations.division), grid:PER_AXIS, simplices:SHELLS, axes:PER_AXIS, combined:PER_PAIR, ladder:STEPS,
     payload:N, moving:N, zigzag:N, warmup:N, repeat:N, dwell:N, wait:MINUTES, iso9283:CYCLES, turn:CUBE (before all others: the cube is taken off and
     put back turned by a quarter turn from where its pose is stated)
@@ -58,13 +61,16 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
         if found is not None:
             return found
     strokes = strokes_of(design)
-    writer = Writer(strokes.mean(axis=1), speed_of(design), BELOW * np.ptp(strokes, axis=1) if one_sided else 0.0)
+    below = BELOW * np.ptp(strokes, axis=1) if one_sided else None
+    approach = Approach(strokes, below, np.random.default_rng((seed, 1)))  # apart from rng: which configurations a part visits stays the same
+    writer = Writer(strokes.mean(axis=1), speed_of(design), approach)
     rng = np.random.default_rng(seed)
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
         if own and part.strip() in own:
-            for goal in own[part.strip()]:
-                writer.settle(goal)
+            goals = np.asarray(own[part.strip()])
+            for goal, last in zip(goals, writer.approaches(goals)):
+                writer.settle(goal, last)
             continue
         if name not in PARTS:
             raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")
@@ -93,8 +99,7 @@ def _refuse_beyond(name: str, count: str, each: float, before: int, text: str) -
 
 def _visit(configurations: Callable[[Design, int, np.random.Generator], np.ndarray]) -> Callable[[Writer, Design, int, np.random.Generator], None]:
     def part(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-        for goal in configurations(design, count, rng):
-            writer.settle(goal)
+        writer.visit(configurations(design, count, rng))
 
     return part
 
@@ -113,14 +118,16 @@ def _ladder(writer: Writer, design: Design, steps: int, rng: np.random.Generator
 
 
 def _payload(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-    """The same configurations without and with a load of 0.6 of the platform's mass."""
-    goals = low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30)))
-    for mass in (0.0, 0.6 * (design.platform.mass or 1.0), 0.0):
+    """The same configurations without and with a load of 0.6 of the platform's mass, from other sides."""
+    goals = writer.shuffled(low_discrepancy(strokes_of(design), count or 12, seed=int(rng.integers(1 << 30))))
+    masses = (0.0, 0.6 * (design.platform.mass or 1.0), 0.0)
+    moves = writer.approaches(np.tile(goals, (3, 1)), [np.repeat(masses, len(goals))]).reshape(3, *goals.shape)
+    for mass, lasts in zip(masses, moves):
         writer.dwell(20.0)
         writer.payload.append((writer.t[-1], mass))
         writer.dwell(1.0)
-        for goal in goals:
-            writer.settle(goal)
+        for goal, last in zip(goals, lasts):
+            writer.settle(goal, last)
 
 
 def _moving(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
@@ -159,8 +166,9 @@ def _zigzag(writer: Writer, design: Design, count: int, rng: np.random.Generator
 def _warmup(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
     """One configuration in twelve comes back all along, minutes apart: four hours in all."""
     goals = low_discrepancy(strokes_of(design), 11, seed=int(rng.integers(1 << 30)))
-    for k in range(count or 48):
-        writer.settle(strokes_of(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)])
+    route = np.array([strokes_of(design).mean(axis=1) if k % 2 else goals[k // 2 % len(goals)] for k in range(count or 48)])
+    for goal, last in zip(route, writer.approaches(route)):
+        writer.settle(goal, last)
         writer.dwell(4 * 3600 / (count or 48))
 
 
@@ -183,12 +191,13 @@ def _wait(writer: Writer, design: Design, minutes: int, rng: np.random.Generator
 
 
 def _repeat(writer: Writer, design: Design, count: int, rng: np.random.Generator) -> None:
-    """Three configurations approached again and again from everywhere: what repeatability is."""
+    """Three configurations approached again and again from everywhere, by every axis as often from below as from above: what repeatability is."""
     strokes = strokes_of(design)
     goals = low_discrepancy(strokes, 3, seed=1)
-    for k in range(count or 30):
+    route = goals[np.arange(count or 30) % 3]
+    for goal, last in zip(route, writer.approaches(route)):
         writer.go(scaled(strokes, rng.uniform(-1, 1, len(strokes)), FILL))
-        writer.settle(goals[k % 3])
+        writer.settle(goal, last)
 
 
 def _turn(writer: Writer, design: Design, cube: str, rng: np.random.Generator) -> None:
@@ -222,8 +231,7 @@ def _division(writer: Writer, design: Design, text: str, rng: np.random.Generato
     if not text.endswith(".csv"):
         each = float(np.prod([count + 1.0 for count in parts(len(strokes), text or "2")[0]]))
         _refuse_beyond("division", text, each, len(writer.exposures), f"division:{text}")
-    for goal in division(strokes, text or "2"):
-        writer.settle(goal)
+    writer.visit(division(strokes, text or "2"))
 
 
 PARTS: dict[str, Callable[..., None]] = {

@@ -1,9 +1,11 @@
 """A plan being written: where the struts go and when, what is exposed, what the platform carries."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rig.balance import balanced_approaches, balanced_order
 from rig.origin import Origin
 from rig.recording import Commands
 
@@ -26,14 +28,24 @@ class Plan:
     turned: tuple[tuple[str, int], ...] = ()
 
 
-class Writer:
-    """A plan being written: where the struts are, when, and what has been exposed."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Approach:
+    """How configurations are approached. strokes : (axes, 2) m or rad, which are not left; below : (axes,) m or rad from which every axis always
+    comes up, where the plan is one-sided, else None; rng : numpy Generator, for order and sides"""
 
-    def __init__(self, start: np.ndarray, speed: float | np.ndarray, below: float | np.ndarray = 0.0) -> None:
+    strokes: np.ndarray
+    below: np.ndarray | None
+    rng: np.random.Generator
+
+
+class Writer:
+    """A plan being written: where the struts are, when, and what has been exposed. approach : of configurations, None for straight ways"""
+
+    def __init__(self, start: np.ndarray, speed: float | np.ndarray, approach: Approach | None = None) -> None:
         self.t, self.values, self.payload = [0.0, 1.0], [start, start], [(0.0, 0.0)]
         self.exposures: list[float] = []
         self.turned: dict[str, int] = {}
-        self.speed, self.below = speed, below
+        self.speed, self.approach = speed, approach
 
     def go(self, goal: np.ndarray) -> None:
         """Go there as fast as the plan goes (axes,) m or rad."""
@@ -47,13 +59,36 @@ class Writer:
         self.t.append(self.t[-1] + seconds)
         self.values.append(self.values[-1])
 
-    def settle(self, goal: np.ndarray) -> None:
-        """Go there, from below where that is asked for, dwell, expose once settled."""
-        if np.any(self.below):
-            self.go(goal - self.below)
+    def settle(self, goal: np.ndarray, last: np.ndarray | None = None) -> None:
+        """Go there, dwell, expose once settled. last : (axes,) m or rad by which each axis moves last, None straight; where the plan is one-sided
+        every axis comes from below"""
+        if self.approach is not None and self.approach.below is not None:
+            last = self.approach.below
+        if last is not None:
+            self.go(goal - last)
         self.go(goal)
         self.dwell(DWELL + AFTER)
         self.exposures.append(self.t[-1] - AFTER)
+
+    def visit(self, goals: np.ndarray) -> None:
+        """Settle at each of the configurations (n, axes), in an order and from sides that are no function of place (see rig.balance)."""
+        goals = self.shuffled(goals)
+        for goal, last in zip(goals, self.approaches(goals)):
+            self.settle(goal, last)
+
+    def shuffled(self, goals: np.ndarray) -> np.ndarray:
+        """Configurations (n, axes) in an order in which time is no function of place."""
+        return np.asarray(goals)[balanced_order(goals, self._sided().rng)]
+
+    def approaches(self, goals: np.ndarray, others: Sequence[np.ndarray] = ()) -> np.ndarray:
+        """(n, axes) m or rad, last moves to configurations in their order, whose sides are no function of place, time and others (n,)."""
+        approach = self._sided()
+        return balanced_approaches(goals, approach.rng, approach.strokes, others)
+
+    def _sided(self) -> Approach:
+        if self.approach is None:
+            raise ValueError("a writer without an Approach goes straight, in the order given")
+        return self.approach
 
     def watch(self, count: int, seconds: float) -> None:
         """Stay for so long (s), and expose so often meanwhile: often at first, when what comes late moves fastest."""

@@ -13,6 +13,7 @@ import numpy as np
 from calib.identify.geometry import pose_jacobian
 from calib.identify.observability import PLAUSIBLE
 from rig import plan
+from rig.balance import balanced_order
 from rig.design import Hexapod
 from rig.errors import NotConverged, RigError
 from rig.mechanisms import hexapod as mechanism
@@ -29,8 +30,9 @@ Avoided = Callable[[np.ndarray], np.ndarray]  # configurations (n, 6) m -> (n,) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """commands : (n, 6) m, in an order of short ways; root : (42, 42) information's square root, 1/m, with what was given;
-    before : (42, 42) of what was given alone; even : (42, 42) with as many low-discrepancy configurations in their stead"""
+    """commands : (n, 6) m, ordered so that neither time nor direction is a function of place
+    root : (42, 42) information's square root, 1/m, with what was given; before : of what was given alone
+    even : (42, 42) with as many low-discrepancy configurations in their stead"""
 
     commands: np.ndarray
     root: np.ndarray
@@ -56,7 +58,9 @@ def choose(hexapod: Hexapod, count: int, sigmas: tuple[float, float], criterion:
     picked = exchanged(G, known.T @ known, count, criterion, progress)
     even = information(plan.low_discrepancy(hexapod.strut_range, count, FILL, seed + 1), hexapod, sigmas)[1].reshape(-1, 42)
     parts = [np.concatenate([known, rows]) for rows in (G[picked].reshape(-1, 42), even)]
-    return Chosen(_short_way(candidates[picked], hexapod.strut_range.mean(axis=1)), *(_root(rows) for rows in (parts[0], known, parts[1])))
+    chosen = candidates[picked]
+    order = balanced_order(chosen, np.random.default_rng(seed), hexapod.strut_range.mean(axis=1))
+    return Chosen(chosen[order], *(_root(rows) for rows in (parts[0], known, parts[1])))
 
 
 def exchanged(G: np.ndarray, M0: np.ndarray, count: int, criterion: str, progress: Callable[[int, int], None] | None = None) -> list[int]:
@@ -143,14 +147,3 @@ def _noise(M: np.ndarray, G: np.ndarray, present: int = 0) -> tuple[float, np.nd
 def _root(rows: np.ndarray) -> np.ndarray:
     R: np.ndarray = np.asarray(np.linalg.qr(rows, mode="r")) / PLAUSIBLE
     return np.concatenate([R, np.zeros((42 - len(R), 42))]) if len(R) < 42 else R
-
-
-def _short_way(commands: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """The same commands, each next the one soonest reached."""
-    left, ordered, here = list(range(len(commands))), [], start
-    while left:
-        near = min(left, key=lambda i: np.abs(commands[i] - here).max())
-        ordered.append(near)
-        left.remove(near)
-        here = commands[near]
-    return commands[ordered]

@@ -13,6 +13,7 @@ from rig.number import number, whole
 if TYPE_CHECKING:
     import numpy as np
 
+    from calib.confounds import Confounds
     from calib.identify.d_optimal import Avoided
     from rig.design import Arm, Chain, Design, Free, Hexapod, Planar2
 
@@ -61,10 +62,11 @@ def run(arguments: Namespace) -> None:
     page = place_of_page(arguments)
     asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
     made = asked(arguments)
-    print("\n".join(filter(None, made.said)))
+    confounds = None if arguments.separate or not len(made.values) else _confounds(made)
+    print("\n".join(filter(None, [*made.said, *([] if confounds is None else [confounds.line()])])))
     axes = list(made.design.mechanism.axes)
     arguments.result = {"schema": "planned/1", "state": made.state, "why": made.why, "said": [line for line in made.said if line], "axes": axes,
-                        "values": made.values.tolist()}
+                        "values": made.values.tolist(), "confounds": confounds and confounds.tree()}
     if page is not None:
         from calib.pages.planned import Planned, planned_page
         from rig.judgement import State, Verdict
@@ -74,6 +76,14 @@ def run(arguments: Namespace) -> None:
     kept = ", which stays as it was" if arguments.out.is_file() else ""
     written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
     print(written + (f"; look at {arguments.page}" if page else ""))
+
+
+def _confounds(made: Made) -> Confounds:
+    """Confounds of a plan's configurations, visited in their order."""
+    from calib.confounds import of_configurations
+    from rig.plan import strokes_of
+
+    return of_configurations(made.values, strokes_of(made.design).mean(axis=1), made.design.mechanism)
 
 
 def _promise(arguments: Namespace) -> Made:

@@ -171,11 +171,11 @@ def test_every_place_is_checked_before_anything_moves(rig):
         if np.allclose(goal, planned[2].goal):
             raise Unreachable("not moved: the way comes too near a singularity", [0], ["20% along"])
 
-    with pytest.raises(Unreachable, match="1 of 5 moves of the plan.*\n  step 2: .*singularity"):
+    with pytest.raises(Unreachable, match="1 of 9 moves of the plan.*\n  step 2: .*singularity"):
         check(planned, rig.mechanism.strut_range.mean(axis=1), refuse)
 
 
 def test_a_journal_of_another_plan_is_refused(rig, tmp_path):
     Room(rig, tmp_path / "rec").process()
-    with pytest.raises(RigError, match="plan of 8 steps, this one has 3"):
+    with pytest.raises(RigError, match="plan of 13 steps, this one has 5"):
         Room(rig, tmp_path / "rec", "sobol:2").process()

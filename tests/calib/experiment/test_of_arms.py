@@ -26,7 +26,9 @@ def found(tmp_path_factory):
     at = tmp_path_factory.mktemp("scara")
     (at / "rig.toml").write_text(shelf.design("scara"))
     design, rng = design_file.load(at / "rig.toml"), np.random.default_rng(3)
-    done = simulation.simulate(world.draw(design, rng, 1.0, (parse(FRICTION),)), plan.build(design, "sobol:60", 3), rng)
+    strokes = plan.strokes_of(design)
+    straight = plan.settled(plan.low_discrepancy(strokes, 60, seed=871346366), strokes.mean(axis=1), plan.speed_of(design))
+    done = simulation.simulate(world.draw(design, rng, 1.0, (parse(FRICTION),)), straight, rng)
     simulation.write(done, at / "rec", shelf.design("scara"), rng)
     read = recording.load(at / "rec")
     return read, diagnose(read)
@@ -76,11 +78,12 @@ def test_a_clocks_offset_moves_an_arm_as_the_machine_has_it(found):
     np.testing.assert_allclose(moved, expected, atol=0.02 * np.abs(expected).max())
 
 
-def test_what_turns_round_tells_play_from_friction_and_standing_does_not(found):
+def test_what_turns_round_tells_play_from_friction_and_so_does_a_plan_of_balanced_approaches(found):
+    """The recording went straight from one configuration to the next, in a Sobol sequence's own order, and left both names open."""
     read, d = found
     asked = arm_questions(d)
     turning, standing = (evaluate(asked, read.design, text, 1) for text in ("zigzag:16", "sobol:12"))
-    assert turning.settles > 0.9 > standing.settles and turning.bits > standing.bits
+    assert min(turning.settles, standing.settles) > 0.9 and min(turning.bits, standing.bits) > 0.5
 
 
 def test_what_of_arms_cannot_be_investigated_is_refused(tmp_path, capsys):
