@@ -61,7 +61,7 @@ def balanced_approaches(values: np.ndarray, rng: np.random.Generator, strokes: n
     """
     extent = np.ptp(strokes, axis=1)
     sides = balanced_sides(values, rng, REACHES[0] * extent, strokes, others)
-    drawn = extent * np.exp(rng.uniform(*np.log(REACHES), values.shape))
+    drawn = extent * REACHES[0] * (REACHES[1] / REACHES[0]) ** rng.random(values.shape)
     return np.asarray(sides * np.minimum(drawn, ROOM * np.where(sides > 0, values - strokes[:, 0], strokes[:, 1] - values)))
 
 
