@@ -24,7 +24,8 @@ class Sampled:
     """samples : Samples; source : where the poses came from, in words; measurement, collected : from vision, or None
     files : beside the recording, from which the poses were computed; data : marks of what those were learnt from (see rig.provenance)
     instrument : who saw the poses and whether it is known where it stands and where its target sits: of an arm that cameras see neither is, so
-    that its base among the base's targets and its hand in the platform's frame are solved for; None where all are known."""
+    that its base among the base's targets and its hand in the platform's frame are solved for; None where all are known
+    assumed : whether nobody states the noise of poses.csv, so that UNSTATED stands for it."""
 
     samples: Samples
     source: str
@@ -33,6 +34,7 @@ class Sampled:
     files: tuple[Path, ...] = ()
     data: tuple[str, ...] = ()
     instrument: Instrument | None = None
+    assumed: bool = False
 
 
 def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "lenses"), progress: Callable[[str, int, int], None] | None = None,
@@ -45,7 +47,9 @@ def sample_recording(recording: Recording, free: tuple[str, ...] = ("poses", "le
     recording.commanded()  # a recording that nobody commanded fails before its images are read
     poses = recording.poses
     if poses is not None and (recording.design.instrument is not None or (recording.corners is None and not recording.has_images)):
-        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument)
+        stated = poses.covariance is not None or recording.design.instrument is not None
+        return Sampled(freed(recording, _from_poses(recording, poses)), "poses.csv", None, None, instrument=recording.design.instrument,
+                       assumed=not stated)
     if recording.corners is None and not recording.has_images:
         raise NotEnoughData(f"{recording.folder}: there are no images, no corners.csv and no poses.csv, so nothing was measured")
     measured, collected = measure_recording(recording, free, progress=progress, look=look)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rig.effects.parse import Kinds
     from rig.effects.plugin import Plugin
 
-MENTIONED = 4  # remarks in the terminal
+MENTIONED = 4  # remarks, and rows that were left out, in the terminal
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 
 def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
-    from calib.diagnose.report.words import line, suggestion, suggestion_rows
+    from calib.diagnose.report.words import all_clear, crowd, left_out, line, suggestion, suggestion_rows
 
     for finding in report.findings:
         print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
@@ -167,8 +167,16 @@ def _print(report: Report) -> None:
         places = ", ".join(f"{r.effect} at {r.place}" for r in report.remarks[:MENTIONED])
         more = f" and {len(report.remarks) - MENTIONED} more" if len(report.remarks) > MENTIONED else ""
         print(f"there, and within tolerances: {places}{more}; see remarks")
+    for one in report.left_out[:MENTIONED]:
+        frame, place, off, _ = left_out(one)
+        print(f"left out: frame {frame}, {place}: {off}")
+    if len(report.left_out) > MENTIONED:
+        print(f"left out: {len(report.left_out) - MENTIONED} more rows that agree with no others; see left_out")
+    if report.crowd is not None and report.findings:
+        print(crowd(report.crowd))
     if not report.findings:
-        print("nothing is left out: the recording and the model agree within the noise")
+        text = all_clear(report)
+        print(text[0].lower() + text[1:].removesuffix("."))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))

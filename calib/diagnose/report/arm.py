@@ -18,6 +18,8 @@ from calib.diagnose.problems.arm.nonlinear import joint_covariance, moments
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown, unusual
 from calib.diagnose.report.schema import (
+    ASSUMED_NOISE,
+    STATED,
     AlternativeEntry,
     Evidence,
     FindingEntry,
@@ -54,7 +56,8 @@ def report(d: ArmDiagnosis) -> Report:
                   recordings=recording_entries(d.parts),
                   own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
-                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds)
+                        "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds,
+                  noise_from=ASSUMED_NOISE if d.assumed else STATED)
 
 
 def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:

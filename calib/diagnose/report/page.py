@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from calib.diagnose.report import words
-from calib.diagnose.report.schema import FindingEntry, Report
+from calib.diagnose.report.schema import ASSUMED_NOISE, FindingEntry, Report
 from rig.effects import BY_NAME
 from rig.judgement import State, Verdict
 from rig.page.document import Link, Page, write
@@ -69,13 +69,16 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
         parts += [heading("There, and nobody's fault"),
                   paragraph("Beyond chance, and no more than parts and instruments may do on their own: nothing to be done about it."),
                   table(("what", "size", "why it is no finding"), [words.remark_row(r) for r in report.remarks])]
+    parts += _left_out(report)
     parts += [heading("What was asked"), *_asked(report, view), heading("The measurement"), table(("what", "value"), _measurement(report, view))]
     write(path, Page("diagnose", f"Diagnosis of {report.recording}", judged(report), parts, to_do(report), links, scripts(parts)))
 
 
 def judged(report: Report) -> Verdict:
-    """The verdict of a Report: bad where something that matters is left out of the model, check where it is slight or has no name."""
-    state = State.BAD if report.mattering else State.CHECK if report.findings else State.GOOD
+    """The verdict of a Report: bad where something that matters is left out of the model, check where it is slight, has no name, or where nobody
+    states the noise that it would show against."""
+    unproven = report.findings or report.noise_from == ASSUMED_NOISE or report.crowd is not None
+    state = State.BAD if report.mattering else State.CHECK if unproven else State.GOOD
     return Verdict(state, words.verdict(report).removesuffix("."))
 
 
@@ -86,8 +89,10 @@ def to_do(report: Report) -> list[str]:
         return [*actions, "Or let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"]
     if report.suggestions:
         return ["Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig diagnose --effects NAME.py`"]
-    if report.findings:
+    if report.findings or report.crowd is not None:
         return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
+    if report.noise_from == ASSUMED_NOISE:
+        return ["State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, and diagnose again"]
     return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
 
 
@@ -130,8 +135,21 @@ def _remaining(report: Report, view: View) -> list[str]:
                                   "found."), *pictures]
     rows = [(f.place, words.number(f.parameters["magnitude"].value, f.parameters["magnitude"].unit),
              ", ".join(f.parameters["depends_on"].value) or "scatters more than its noise", words.chance(f.evidence.p_value)) for f in report.unknown]
-    return [levels, paragraph("Something remains that nothing in the catalogue explains. A smooth function fits it; it is given no name."),
+    return [levels, paragraph(words.remains(report.unknown)),
             table(("place", "size (RMS)", "goes with", "chance"), rows), *pictures]
+
+
+def _left_out(report: Report) -> list[str]:
+    """The rows that were left out before anything was searched, each with its reason."""
+    if not report.left_out and report.crowd is None:
+        return []
+    parts = [heading("Left out before anything was searched")]
+    parts += [] if report.crowd is None else [paragraph(words.sentence(words.crowd(report.crowd)))]
+    if report.left_out:
+        rows = [words.left_out(one) for one in report.left_out]
+        parts += [paragraph(f"{words.rows(len(rows))} far off all that the rest of the recording allows, and no neighbour in time or configuration "
+                            "shows the same. The findings do not rest on these rows."), table(("frame", "where", "how far off", "why"), rows)]
+    return parts
 
 
 def _suggestions(report: Report) -> list[str]:

@@ -14,6 +14,9 @@ from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.tolerated import Slight
 from calib.diagnose.report.schema import (
+    ASSUMED_NOISE,
+    RESIDUALS,
+    STATED,
     UNKNOWN,
     AlternativeEntry,
     Evidence,
@@ -50,7 +53,16 @@ def report(d: PlatformDiagnosis) -> Report:
     fits = {name: fit_entry(fit) for name, fit in d.fits.items()}
     return Report(d.recording, d.origin.shown(0.0), noise(asdict(d.noise)), (*found, *unknown(d.left)), unexplained(d.left), fits, fit_entry(d.fit),
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), tuple(remarks(d)), covariate_entries(d.covariates), d.said,
-                  recording_entries(d.parts), effects_files(d.own), suggestion_entries(d.suggestions), confounds=d.confounds)
+                  recording_entries(d.parts), effects_files(d.own), suggestion_entries(d.suggestions), confounds=d.confounds,
+                  noise_from=noise_from(d), left_out=d.wild.left_out, crowd=d.wild.crowd)
+
+
+def noise_from(d: PlatformDiagnosis) -> str:
+    """Whence the noise comes that all is judged by."""
+    k = d.selection.fit.refined.point
+    if k.seen is None:
+        return ASSUMED_NOISE if k.assumed else STATED
+    return RESIDUALS if k.seen.stated is None else STATED
 
 
 def remarks(d: PlatformDiagnosis) -> list[RemarkEntry]:

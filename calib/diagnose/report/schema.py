@@ -9,6 +9,7 @@ from typing import Any
 from calib.confounds import Confounds
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
+from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.problems.suggestion import Suggestion
 from rig.effects.plugin import Plugin
 from rig.effects.written import Written
@@ -19,6 +20,7 @@ from rig.recording import Part
 SCHEMA = "diagnosis/1"
 NOTHING = 0.2  # of the misfit held out, added in squares, that a finding must take away to be more than significant
 ASSUMED, SEEN_BEFORE = "assumed", "seen before"
+STATED, RESIDUALS, ASSUMED_NOISE = "stated", "residuals", "assumed"  # whence the noise comes: a statement, the residuals themselves, a usual figure
 UNKNOWN = "unknown"  # name of a finding that nothing in the catalogue explains
 
 
@@ -218,7 +220,10 @@ class Report:
     covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
     recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
     suggestions : formulas for what has no name
-    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded"""
+    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
+    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too many to be left out, or None
+    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed" where nobody states the
+    poses' noise"""
 
     recording: str
     start_s: float
@@ -236,6 +241,9 @@ class Report:
     suggestions: tuple[SuggestionEntry, ...] = ()
     more: dict[str, Any] = field(default_factory=dict)
     confounds: Confounds | None = None
+    noise_from: str = STATED
+    left_out: tuple[LeftOut, ...] = ()
+    crowd: Crowd | None = None
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -263,7 +271,7 @@ class Report:
         """The tree of diagnosis.json."""
         apart = ("more", "confounds", *(() if self.recordings else ("recordings",)))
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
-        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more,
+        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more, "crowd": _plain(self.crowd),
                 "confounds": self.confounds and self.confounds.tree()}
 
 

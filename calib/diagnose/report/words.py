@@ -4,7 +4,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.diagnose.report.schema import ASSUMED, CovariateEntry, FindingEntry, FitEntry, RemarkEntry, Report, SuggestionEntry, Value
+from calib.diagnose.engine.wild import Crowd, LeftOut
+from calib.diagnose.report.schema import (
+    ASSUMED,
+    ASSUMED_NOISE,
+    RESIDUALS,
+    CovariateEntry,
+    FindingEntry,
+    FitEntry,
+    RemarkEntry,
+    Report,
+    SuggestionEntry,
+    Value,
+)
 from rig.rounded import UNITS, apart, rounded
 
 SCALES = {unit: UNITS[unit][0] for unit in ("m", "rad", "1/K", "N/m")}  # one unit for all sizes, so that they compare
@@ -80,7 +92,7 @@ def verdict(report: Report) -> str:
         left = f"something at {worst.place} that nothing in the catalogue explains, {number(worst.magnitude, worst.unit)}"
         left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
     if not report.named:
-        return f"There is {left}." if left else "Nothing is left out: the recording and the model of the rig agree within the noise."
+        return f"There is {left}." if left else all_clear(report)
     main = report.mattering or report.named
     said = [f"{title(f)}{size(f)}{beforehand(f)}" for f in main]
     fewer = len(report.named) - len(main)
@@ -90,6 +102,33 @@ def verdict(report: Report) -> str:
     doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
     text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
     return sentence(text)
+
+
+def all_clear(report: Report) -> str:
+    """What it is worth that nothing was found: nothing, where nobody states the noise."""
+    if report.crowd is not None:
+        return f"Nothing in the catalogue was found, and {crowd(report.crowd)}."
+    if report.noise_from == ASSUMED_NOISE:
+        return ("Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left of them was taken for it. State it: "
+                "position_sigma and rotation_sigma in [instrument] of rig.toml.")
+    whence = ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
+    return f"Nothing is left out: the recording and the model of the rig agree within the noise{whence}."
+
+
+def left_out(one: LeftOut) -> tuple[str, str, str, str]:
+    """(frame, where, how far off, why) of a row that was left out."""
+    return str(one.frame), one.place, f"{number(one.off, one.unit)}, {one.times:.0f} times the scatter of the others", one.reason
+
+
+def rows(count: int) -> str:
+    """How many rows are off, as the beginning of a sentence."""
+    return "1 row is" if count == 1 else f"{count} rows are"
+
+
+def crowd(found: Crowd) -> str:
+    """Why rows that are far off were not left out."""
+    return (f"{found.count} of {found.of} {found.what} are far off all others: too many to be mistakes of their own, so they were not left out, and "
+            "something is left out of the model")
 
 
 def held_out(fit: FitEntry, named: bool) -> str:
@@ -121,6 +160,16 @@ def how_sure(finding: FindingEntry) -> str:
         shown = e.p_value is not None and e.p_value <= SELDOM and e.delta_bic >= CONVINCING
         said.append("it was assumed, and this recording " + ("shows it by itself as well" if shown else "would not have shown it by itself"))
     return f"How sure: {'; '.join(said)}."
+
+
+def remains(unknown: Sequence[FindingEntry]) -> str:
+    """What is unknown: functions that fit it, scatter that none does."""
+    fitted = [f for f in unknown if f.parameters["depends_on"].value]
+    said = ["Something remains that nothing in the catalogue explains."]
+    said += ["A smooth function fits it; it is given no name."] if fitted else []
+    said += ["What scatters more than its noise is as likely left out of the model as the noise is stated too small: this recording does not tell "
+             "which."] if len(fitted) < len(unknown) else []
+    return " ".join(said)
 
 
 def suggestion(entry: SuggestionEntry) -> str:

@@ -15,6 +15,7 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import Finding, choose, labelled, select
+from calib.diagnose.problems.arm.beyond_noise import scatter_beyond_noise
 from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candidates
 from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
@@ -63,7 +64,8 @@ class ArmDiagnosis:
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
     left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
     origin : of the owner's clock, which moments are told by
-    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides"""
+    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides
+    assumed : whether nobody states the poses' noise"""
 
     recording: str
     source: str
@@ -88,6 +90,7 @@ class ArmDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     confounds: Confounds | None = None
+    assumed: bool = False
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -108,13 +111,15 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
         arms = replace(arms, sight=partial(foreseen, sampled.measurement, recording.design))
-    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
+    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given,
+                     assumed=sampled.assumed)
     return replace(done, origin=recording.origin, parts=recording.parts, confounds=of_recordings([recording]))
 
 
 def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked, progress: Progress | None = None,
-              coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
-    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well."""
+              coarse: bool = True, given: Given = UNSAID, assumed: bool = False) -> ArmDiagnosis:
+    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well; assumed : whether nobody states the
+    poses' noise."""
     candidates, not_asked = joint_candidates(arms, asked)
     problem = ArmProblem(arms, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
@@ -125,9 +130,11 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
     before, cluster = fit(arms), problem.policy.cluster
-    left = lack_of_fit(chosen, again, cluster)
+    left, goes_with = lack_of_fit(chosen, cluster), covariates(before, chosen, cluster)
+    suggested = tuple(suggestions(chosen, left))
+    left += scatter_beyond_noise(chosen, again, goes_with, assumed)
     return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, left, regions, covariates(before, chosen, cluster), given=given, suggestions=tuple(suggestions(chosen, left)))
+                        again, left, regions, goes_with, given=given, suggestions=suggested, assumed=assumed)
 
 
 def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,

@@ -1,23 +1,20 @@
-"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors, unnamed; scatter."""
+"""What an arm still does when the catalogue has had its say: smooth functions of pose, load, time, history and sensors, unnamed."""
 
 import numpy as np
 
 from calib.diagnose.engine.lack_of_fit import ALPHA, LackOfFit, Test, convincing, tested
 from calib.diagnose.problems.arm.fit import Fit
 from calib.diagnose.problems.arm.poses import Arms
-from calib.diagnose.problems.arm.repeats import Repeats
 from calib.diagnose.problems.arm.search import joint_products
 from rig.effects.compliance import distinct
 
 KNOTS = 8  # of a smooth function of time
 PRIOR = 1e-3  # rad; size of a coefficient
-CERTAIN = 30.0  # standard errors, from which a chance is as good as none
 
 
-def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
-    """[LackOfFit] that the residuals of a Fit still hold, the largest first; last, scatter beyond the instrument's own that comes again.
+def lack_of_fit(fit: Fit, cluster: int = 1, place: str | None = None, alpha: float = ALPHA) -> list[LackOfFit]:
+    """[LackOfFit] of smooth functions that the residuals of a Fit still hold, the largest first.
 
-    again : Repeats, which tell whether that scatter is noise or comes again with the same joint angles ("configuration")
     place : where alone they are asked, None for everywhere; alpha : chance of any where there is nothing
     """
     arms, found = fit.arms, []
@@ -28,8 +25,7 @@ def lack_of_fit(fit: Fit, again: Repeats | None = None, cluster: int = 1, place:
         for depends, basis in _bases(arms, j):
             test = Test(moved.places[j], moved.units[j], (depends,), basis[fit.used][:, None, :], information, PRIOR)
             found.append(tested(fit.linear, products, test, cluster))
-    out = sorted(convincing([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
-    return [*out, *_scatter(fit, again)]
+    return sorted(convincing([u for u in found if u is not None and place in (None, u.place)], alpha), key=lambda u: -u.delta_chi2)
 
 
 def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
@@ -42,17 +38,6 @@ def _bases(arms: Arms, j: int) -> list[tuple[str, np.ndarray]]:
     if turning.shape[1]:
         out.append(("torque", np.sign(turning)))
     return out + [(name, ((v - v.mean()) / v.std())[:, None]) for name, v in arms.channels.items() if np.ptp(v) > 0]
-
-
-def _scatter(fit: Fit, again: Repeats | None) -> list[LackOfFit]:
-    """Scatter beyond the instrument's own, where it comes again with the same command; where it does not, or no command was given twice, the
-    instrument may as well be noisier than is stated of it, which is no physics left out: it is told as noise."""
-    if fit.scatter[0] <= 0 or again is None or again.p_value >= ALPHA:
-        return []
-    own = np.einsum("nkk->nk", fit.arms.own)[:, :3].mean()
-    ratio = (fit.scatter[0] ** 2 / own) * np.sqrt(1.5 * fit.used.sum())
-    chance = float(np.exp(-0.5 * min(ratio, CERTAIN) ** 2))
-    return [LackOfFit("rig", float(fit.scatter[0] * np.sqrt(3)), "m", ("configuration",), chance, float(ratio**2))]
 
 
 def _hats(t: np.ndarray) -> np.ndarray:

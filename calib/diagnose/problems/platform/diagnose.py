@@ -1,6 +1,7 @@
 """A platform's recording, or a hand-moved body's, -> its Diagnosis: which effect sits where, how large, how sure, what nobody can name."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -14,17 +15,19 @@ from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import select, supported
 from calib.diagnose.problems.asked import Asked, answerable
+from calib.diagnose.problems.platform.beyond_noise import scatter_beyond_noise
 from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.covariates import covariates
 from calib.diagnose.problems.platform.formulas import suggestions
 from calib.diagnose.problems.platform.heldout import cross_validate_blocks
 from calib.diagnose.problems.platform.linearised import CLOSURES, CORNERS, LinearisedModel
 from calib.diagnose.problems.platform.marker_identity import exchanged, swaps
-from calib.diagnose.problems.platform.operating_point import of_recording, within_reach
+from calib.diagnose.problems.platform.operating_point import OperatingPoint, of_recording, within_reach
 from calib.diagnose.problems.platform.problem import PlatformProblem, PlatformSelection
 from calib.diagnose.problems.platform.remarks import Remarks, set_apart
 from calib.diagnose.problems.platform.temperatures import with_temperatures
 from calib.diagnose.problems.platform.widened import widened
+from calib.diagnose.problems.platform.wild import Wild, searched
 from calib.certify.calibration import Calibration
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.pipeline import Sampled
@@ -48,6 +51,16 @@ class Noise:
     strut_m: float | None = None
 
 
+class Explained(NamedTuple):
+    """problem : PlatformProblem; selection : of what explains it; left : [LackOfFit]; remarks : Remarks; not_asked : [NotAsked]."""
+
+    problem: PlatformProblem
+    selection: PlatformSelection
+    left: list[LackOfFit]
+    remarks: Remarks
+    not_asked: list[NotAsked]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlatformDiagnosis:
     """recording : its name; source : of the poses, in words; swapped : [MarkerSwap] found before all else
@@ -57,7 +70,7 @@ class PlatformDiagnosis:
     covariates : [Covariate] that what is left goes with, the one that explained most before first
     given : what was said beforehand; said : the operator's words, as options
     parts : (Part, ..) of several recordings together; own : files of effects that were asked for besides
-    suggestions : formulas for what is left"""
+    suggestions : formulas for what is left; wild : rows that were left out of all this"""
 
     recording: str
     source: str
@@ -78,6 +91,7 @@ class PlatformDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     confounds: Confounds | None = None
+    wild: Wild = Wild()
 
     @property
     def effects(self) -> list[Effect]:
@@ -110,7 +124,29 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
                                            sampled)
     moved = [m for m in moves(measured.adjustment) if m.moved] if measured is not None and measured.places_free else []
     swapped = [s for s in swaps(point) if _exchange_asked(s, asked)] if asked.name(MarkerSwap.name) else []
-    point = within_reach(exchanged(point, swapped))
+    covariance = measured.covariance if measured is not None else np.zeros((0, 6, 6)) if point.own is None else point.own
+
+    def explained(at: OperatingPoint) -> tuple[Explained, OperatingPoint]:
+        found = _explained(within_reach(at), asked, given, progress)
+        return found, found.selection.fit.refined.point
+
+    (problem, selection, left, remarks, not_asked), wild = searched(exchanged(point, swapped), covariance, explained)
+    selection = with_temperatures(problem, selection)
+    suggested = tuple(suggestions(problem, selection.fit, left, progress))
+    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities)))
+    refined = selection.fit.refined
+    left += scatter_beyond_noise(problem.residual(selection.fit), left)
+    proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
+    blocks = {"corners": CORNERS} if point.seen is not None else {}
+    blocks |= {"closures": CLOSURES} if point.axes else {}
+    fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
+    return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
+                             not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
+                             given, parts=recording.parts, suggestions=suggested, confounds=of_recordings([recording]), wild=wild)
+
+
+def _explained(point: OperatingPoint, asked: Asked, given: Given, progress: Progress | None) -> Explained:
+    """Explained of an OperatingPoint with nothing admitted."""
     candidates, not_asked = platform_candidates(point, asked)
     problem = PlatformProblem(point, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
@@ -120,17 +156,7 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     if len(selection.findings) < stood:
         left = problem.lack_of_fit(problem.residual(selection.fit))
     selection, left, remarks = set_apart(problem, selection, left)
-    selection = with_temperatures(problem, selection)
-    suggested = tuple(suggestions(problem, selection.fit, left, progress))
-    selection = replace(selection, fit=replace(selection.fit, refined=widened(selection.fit.refined, problem.sensitivities)))
-    refined = selection.fit.refined
-    proofs = [problem.cross_validation(selection.fit, f.number) for f in selection.findings]
-    blocks = {"corners": CORNERS} if point.seen is not None else {}
-    blocks |= {"closures": CLOSURES} if point.axes else {}
-    fits = cross_validate_blocks(refined, set(range(len(refined.point.effects))), tuple(blocks.values()))
-    return PlatformDiagnosis(recording.name, source, swapped, moved, selection, proofs, dict(zip(blocks, fits)), left, remarks,
-                             not_asked, _noise(refined.model), covariates(selection.before.refined.model, refined.marginalised), recording.origin,
-                             given, parts=recording.parts, suggestions=suggested, confounds=of_recordings([recording]))
+    return Explained(problem, selection, left, remarks, not_asked)
 
 
 def _exchange_asked(effect: MarkerSwap, asked: Asked) -> bool:
@@ -143,7 +169,7 @@ def _noise(model: LinearisedModel) -> Noise:
     k, to_local = model.point, model.corners.to_local[:, :6]
     covariance = k.own if k.own is not None else to_local @ np.swapaxes(to_local, 1, 2)
     return Noise(model.corner_noise() or None, _length(covariance[:, :3, :3]), _length(covariance[:, 3:, 3:]),
-                 float(np.sqrt(np.mean(model.strut_noise()))) if k.axes else None)
+                 float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))) if k.axes else None)
 
 
 def _length(covariance: np.ndarray) -> float:

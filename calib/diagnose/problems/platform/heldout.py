@@ -71,7 +71,7 @@ def _closures(model: LinearisedModel, before: HeldOut, after: HeldOut, gain: flo
     inverse = np.linalg.inv(model.closures.W)
     F, axes = model.frames, model.point.axes
     figures = [np.sqrt(np.mean((inverse @ held.frames[CLOSURES].reshape(F, axes, 1)) ** 2)) for held in (before, after)]
-    return CrossValidation(float(figures[0]), float(figures[1]), float(np.sqrt(np.mean(model.strut_noise()))), "m", gain)
+    return CrossValidation(float(figures[0]), float(figures[1]), float(np.sqrt(np.mean(model.strut_noise() - model.closures.scatter**2))), "m", gain)
 
 
 def _corners(model: LinearisedModel, before: HeldOut, after: HeldOut, gain: float) -> CrossValidation:

@@ -36,13 +36,19 @@ class Seen:
     """The corners of a recording and which sightings they belong to.
 
     observations : Observations of solved frames, frame an index into OperatingPoint.frames; markers : MarkerMap
-    sightings : Sightings (k,); row : (n,) sighting of each corner
+    sightings : Sightings (k,); row : (n,) sighting of each corner; stated : px, noise of a corner in the middle of all, as stated; None where
+    nobody states any and the residuals alone determine it
     """
 
     observations: Observations
     markers: MarkerMap
     sightings: Sightings
     row: np.ndarray
+    stated: float | None = None
+
+    def take(self, rows: np.ndarray) -> "Seen":
+        """The same with only the corners of an index or mask (n,)."""
+        return replace(seen_of(self.observations.take(rows), self.markers), stated=self.stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +63,8 @@ class OperatingPoint:
     standing : px, what comes back in every frame where neither camera nor marker moves
     known : (mechanism, (42, 42) root of their information) of joints and zeros as another recording has them, or None
     log_errors : {channel: (n, q)} of the sensors' temperatures, see temperature_smoothing.smoothed
-    seats : by which cubes that were put back sit off where they are stated
+    seats : by which cubes that were put back sit off where they are stated; assumed : whether nobody states the noise of poses that an
+    instrument measured, so that a usual figure stands for it
     """
 
     design: Design
@@ -76,6 +83,7 @@ class OperatingPoint:
     known: tuple[Hexapod, np.ndarray] | None = None
     log_errors: dict[str, np.ndarray] = field(default_factory=dict)
     seats: tuple[CubeMisplacement, ...] = ()
+    assumed: bool = False
 
     @property
     def state(self) -> State:
@@ -181,14 +189,17 @@ def of_recording(recording: Recording, progress: Progress | None = None, calibra
         if measured is None or in_hand(design):  # whose corners are seen from the platform: its poses stand for them
             s = sampled.samples
             return OperatingPoint(design, design, s.frame, s.t, s.T_base_platform, {}, s.total_covariance(), recording.commands, sensors, None,
-                                  known=known, log_errors=log_errors), source, None
+                                  known=known, log_errors=log_errors, assumed=sampled.assumed), source, None
     if len(measured.frames) < FEWEST:
         raise NotEnoughData(f"{recording.folder}: {len(measured.frames)} solved frames are too few to diagnose; it takes {FEWEST}, better 100")
     frames, times = recording.exposures.times()
     state = measured.adjustment.state
     point = OperatingPoint(measured.design, design, measured.frames, times[np.searchsorted(frames, measured.frames)], state.platform,
                            state.moving, None, recording.commands if kind != "free" else None, sensors, None, known=known, log_errors=log_errors)
-    return replace(point, seen=_seen(measured, point), seats=seats_of(design)), source, measured
+    seen = _seen(measured, point)
+    if source != "images" and measured.observations.stated:
+        seen = replace(seen, stated=measured.noise / np.sqrt(measured.factor))
+    return replace(point, seen=seen, seats=seats_of(design)), source, measured
 
 
 def seats_of(design: Design, known: Sequence[CubeMisplacement] = ()) -> tuple[CubeMisplacement, ...]:
@@ -220,7 +231,7 @@ def within_reach(point: OperatingPoint) -> OperatingPoint:
     if seen is None:
         return point
     near = np.linalg.norm(seen.observations.uv - point.pixels(), axis=1) < ELSEWHERE
-    return point if near.all() else replace(point, seen=seen_of(seen.observations.take(near), seen.markers))
+    return point if near.all() else replace(point, seen=seen.take(near))
 
 
 def seen_of(observations: Observations, markers: MarkerMap) -> Seen:

@@ -1,0 +1,113 @@
+"""Wild rows are left out before anything is searched and listed with why; names do not depend on which of them an operator masks by hand."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.diagnose.engine.wild import MOST, robust_fit, wild_rows
+from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.page import diagnosis_page, judged
+from calib.diagnose.report.platform import report
+from calib.diagnose.report.platform_view import PlatformView
+from rig import masking
+from rig.page.document import State
+from tests.calib.recorded import recorded
+from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
+
+HIDDEN = {"backlash:strut3:gap=6e-5": [("backlash", "strut 3")], "missed_steps:strut2:jump=8e-5,time=300": [("missed_steps", "strut 2")],
+          "warm_up:strut2:amplitude=6e-5": [("warm_up", "strut 2")]}
+
+
+def names(found):
+    return [(f.effect, f.place) for f in report(found).findings]
+
+
+def masks(frames, rng, count):
+    """So many draws of the frames, each in with even chance, as --mask takes them."""
+    drawn = [frames[rng.random(len(frames)) < 0.5] for _ in range(count)]
+    return [",".join(map(str, some)) for some in drawn if len(some)]
+
+
+def test_a_robust_fit_shows_wild_rows_whole():
+    rng = np.random.default_rng(0)
+    X, y = rng.normal(size=(120, 1, 12)), rng.normal(size=(120, 1))
+    wild = rng.permutation(120)[:8]
+    y[wild, 0] += rng.uniform(30, 3000, 8) * rng.choice([-1, 1], 8)
+    found = robust_fit([(y + X @ np.full(12, 50.0), X)])
+    assert set(np.flatnonzero(np.abs(found.relative[:, 0]) > 7)) == set(wild) and found.scale[0] == pytest.approx(1.0, rel=0.25)
+
+
+def test_what_a_neighbour_shows_as_well_is_not_wild():
+    rng = np.random.default_rng(1)
+    t, q, left = np.arange(60.0), rng.uniform(size=(60, 3)), rng.normal(size=(60, 3))
+    left[57:] += [40.0, 0.0, -20.0]  # from a moment near the end on
+    left[[10, 30]] += [0.0, 25.0, 0.0]  # twice at nearly one configuration
+    q[30] = q[10] + 1e-3
+    left[20] += [15.0, 15.0, 0.0]
+    assert np.flatnonzero(wild_rows(left, t, q, 7.0)).tolist() == [20]
+
+
+def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
+    for number, (text, expected) in enumerate(list(HIDDEN.items())[:2]):
+        rng = np.random.default_rng(number)
+        bad, frames = spoilt_poses(posed(tmp_path / str(number), design, [text], number), rng)
+        for mask in ["", *masks(frames, rng, 1)]:
+            found = diagnose(masking.masked(bad, mask) if mask else bad)
+            assert names(found) == expected
+            gone = {one.frame for one in found.wild.left_out}
+            assert gone <= set(frames.tolist()) and len(gone) + len(mask.split(",")) * bool(mask) >= len(frames) - 2
+
+
+def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
+    rec = posed(tmp_path / "rec", design, [], 3)
+    poses = rec.poses.T_base_platform.as_matrix()
+    poses[50, 0, 3] += 1e-3
+    bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
+    found = diagnose(bad, ["backlash"])
+    told = report(found)
+    (entry,) = json.loads(json.dumps(told.tree()))["left_out"]
+    assert entry["frame"] == 50 and entry["what"] == "pose" and entry["place"].startswith("strut ") and entry["unit"] == "m"
+    assert 1e-4 < entry["off"] < 1e-3 and entry["times"] > 20 and "agree with no other" in entry["reason"]
+    diagnosis_page(tmp_path / "page.html", told, PlatformView(rec, found))
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Left out before anything was searched" in page and entry["reason"] in page and judged(told).state is State.GOOD
+
+
+def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
+    bad, frames = spoilt_poses(posed(tmp_path / "rec", design, [], 4), np.random.default_rng(4), 0.2)
+    told = report(diagnose(bad, ["backlash"]))
+    assert told.left_out == () and told.crowd is not None and told.crowd.count > MOST * told.crowd.of
+    assert told.unexplained is not None and judged(told).state is State.CHECK
+
+
+def test_a_misread_marker_is_left_out_alone(tmp_path, design):
+    rec = recorded(tmp_path, design, [], route="sobol:60")
+    assert diagnose(rec, ["edge_bias"]).wild.left_out == ()
+    bad, frames = spoilt_corners(rec, np.random.default_rng(2))
+    found = diagnose(bad, ["edge_bias"])
+    assert {one.frame for one in found.wild.left_out} == set(frames.tolist()) and len(found.wild.left_out) == len(frames)
+    assert all(one.what == "corners" and one.unit == "px" and "marker" in one.place for one in found.wild.left_out)
+    assert names(found) == [] and len(found.selection.fit.refined.point.frames) == 60
+
+
+@pytest.mark.parametrize("text", ["missed_steps:strut2:jump=2e-4,time=490", "compliance:rig:stiffness=3e6"])
+def test_a_short_event_is_not_wild(tmp_path, design, text):
+    """A jump before the last few exposures, a load in two of them."""
+    rec = posed(tmp_path / "rec", design, [text], 5, "sobol:90,payload:2")
+    assert np.count_nonzero(rec.exposures.times()[1] > 490) == 6
+    found = diagnose(rec, [text.split(":")[0]])
+    assert found.wild.left_out == () and names(found) == [(text.split(":")[0], text.split(":")[1].replace("strut", "strut "))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_names_are_those_of_the_recording_without_wild_rows(tmp_path, design, seed):
+    rng = np.random.default_rng(seed)
+    for text, expected in HIDDEN.items():
+        clean = posed(tmp_path / text.split(":")[0], design, [text], seed)
+        bad, frames = spoilt_poses(clean, rng)
+        assert names(diagnose(clean)) == expected
+        for mask in masks(frames, rng, 3):
+            assert names(diagnose(masking.masked(bad, mask))) == expected
