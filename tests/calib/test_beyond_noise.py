@@ -52,10 +52,9 @@ def test_a_mount_within_its_noise_is_all_clear(tmp_path):
 def test_noise_that_nobody_states_proves_nothing(tmp_path):
     rec = stars(tmp_path / "rec", 6e-4)
     poses = Poses(rec.poses.frame, rec.poses.T_base_platform, None)
-    unstated = replace(arms.sample_recording(rec), assumed=True)
     assert arms.sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
-    found = arms.arms_of(unstated.samples, rec.design, rec.commands)
-    report = arm.report(arms.diagnosed(*found, "rec", "poses.csv", arms.Asked(), assumed=True))
+    found, geometry = arms.arms_of(arms.sample_recording(rec).samples, rec.design, rec.commands)
+    report = arm.report(arms.diagnosed(replace(found, assumed=True), geometry, "rec", "poses.csv", arms.Asked()))
     assert report.noise_from == ASSUMED_NOISE and not report.findings
     assert judged(report).state is State.CHECK and "proves nothing" in verdict(report)
 

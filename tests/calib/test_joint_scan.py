@@ -140,7 +140,7 @@ def test_what_the_catalogue_lacks_is_unknown_at_its_joint():
     arms = seen(only(2, lambda q: 2e-4 * np.sin(q[:, 0])), again=60)
     chosen = select(ArmProblem(arms, joint_candidates(arms, Asked())[0])).fit
     assert chosen.terms == ()
-    left = [*lack_of_fit(chosen, 5), *scatter_beyond_noise(chosen, repeats(chosen), [], False)]
+    left = [*lack_of_fit(chosen, 5), *scatter_beyond_noise(chosen, repeats(chosen), [])]
     assert left[0].place == "joint 3" and left[0].depends_on == ("pose",)
     assert left[0].magnitude == pytest.approx(np.std(2e-4 * np.sin(arms.q[:, 0])), rel=0.3)
     assert left[-1].place == "rig" and left[-1].depends_on == ("configuration",)

@@ -13,15 +13,14 @@ from calib.diagnose.problems.arm.repeats import Repeats
 SHARE = 0.05  # of the squares left, from which a covariate is named beside the scatter
 
 
-def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[Covariate], assumed: bool) -> list[LackOfFit]:
+def scatter_beyond_noise(fit: Fit, again: Repeats | None, covariates: Sequence[Covariate]) -> list[LackOfFit]:
     """[LackOfFit] of positions and of rotations that scatter beyond their noise; their sizes are lengths of three numbers.
 
     again : Repeats, which show whether the scatter recurs with the same joint angles ("configuration"); where it does not, it depends on the
-    covariates that explain some of it, or on nothing known
-    assumed : whether nobody states the noise: then only what recurs under one command is beyond it
+    covariates that explain some of it, or on nothing known. Where nobody states the noise, only what recurs under one command is beyond it
     """
     recurs = again is not None and again.p_value < ALPHA
-    if assumed and not recurs:
+    if fit.arms.assumed and not recurs:
         return []
     depends = ("configuration",) if recurs else tuple(c.name for c in covariates if _explains(c, len(covariates)))
     used, k = fit.used, fit.left.shape[1]

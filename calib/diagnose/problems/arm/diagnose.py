@@ -64,8 +64,7 @@ class ArmDiagnosis:
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
     left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
     origin : of the owner's clock, which moments are told by
-    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides
-    assumed : whether nobody states the poses' noise"""
+    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides"""
 
     recording: str
     source: str
@@ -90,7 +89,6 @@ class ArmDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     confounds: Confounds | None = None
-    assumed: bool = False
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -109,17 +107,16 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
     arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
+    arms = replace(arms, assumed=sampled.assumed)
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
         arms = replace(arms, sight=partial(foreseen, sampled.measurement, recording.design))
-    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given,
-                     assumed=sampled.assumed)
+    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
     return replace(done, origin=recording.origin, parts=recording.parts, confounds=of_recordings([recording]))
 
 
 def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked, progress: Progress | None = None,
-              coarse: bool = True, given: Given = UNSAID, assumed: bool = False) -> ArmDiagnosis:
-    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well; assumed : whether nobody states the
-    poses' noise."""
+              coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
+    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well."""
     candidates, not_asked = joint_candidates(arms, asked)
     problem = ArmProblem(arms, candidates, given=answerable(given, candidates, not_asked))
     selection = select(problem, progress)
@@ -132,9 +129,9 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
     before, cluster = fit(arms), problem.policy.cluster
     left, goes_with = lack_of_fit(chosen, cluster), covariates(before, chosen, cluster)
     suggested = tuple(suggestions(chosen, left))
-    left += scatter_beyond_noise(chosen, again, goes_with, assumed)
+    left += scatter_beyond_noise(chosen, again, goes_with)
     return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, left, regions, goes_with, given=given, suggestions=suggested, assumed=assumed)
+                        again, left, regions, goes_with, given=given, suggestions=suggested)
 
 
 def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,

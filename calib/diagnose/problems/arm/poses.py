@@ -33,6 +33,7 @@ class Arms:
     """What is known of n poses of an arm or chain. frame : (n,); t : (n,) s; q : (n, joints) rad or m, commanded; left : (n, k) m and rad, what
     the geometry left (k = 6, or 3 for positions); freedoms : (n, k, p) change with calibration's parameters; joints : (n, k, joints)
     with the angles; own : (n, k, k) the instrument's covariance; commands : the whole path; context : what effects may look at
+    assumed : whether nobody states that covariance, so that a usual one stands for it
     sight : of poses that cameras measure, T_base_platform (m,) -> Foreseen of others that they have yet to see; None of an instrument's"""
 
     frame: np.ndarray
@@ -45,6 +46,7 @@ class Arms:
     commands: Commands
     context: Context
     sight: Callable[[RigidTransform], Foreseen] | None = None
+    assumed: bool = False
 
     def __len__(self) -> int:
         return len(self.t)
