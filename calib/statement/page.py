@@ -94,12 +94,12 @@ def _standards(c: Certificate) -> list[str]:
 
 def _budget(c: Certificate) -> list[str]:
     rows = [(row.name, row.of, NOT_KNOWN if row.position is None else f"{row.position * 1e6:.2f}",
-             "" if row.rotation is None else f"{row.rotation * 1e6:.2f}", row.kind, row.source) for row in c.budget.rows]
-    said = [f"A commanded pose: U = {words.um(c.budget.machine[0])}", f"a measured one: U = {words.um(c.budget.measuring[0])}"]
-    if c.budget.machine[1] is not None and c.budget.measuring[1] is not None:
-        said = [f"{line} and {words.urad(turn)}" for line, turn in zip(said, (c.budget.machine[1], c.budget.measuring[1]))]
-    return [heading("Where it comes from (U, k = 2)"), paragraph("; ".join(said) + ". What is not known is in neither."), svg.budget(c),
-            table(("contribution", "to", "position, um", "rotation, urad", "kind", "how"), rows)]
+             "" if row.rotation is None else f"{row.rotation * 1e6:.2f}", words.factors(row), row.kind, row.source) for row in c.budget.rows]
+    said = [f"A commanded pose: {words.expanded(c.budget.machine)}", f"a measured one: {words.expanded(c.budget.measuring)}"]
+    return [heading("Where it comes from (U, coverage 95 %)"), paragraph("; ".join(said) + ". What is not known is in neither."), svg.budget(c),
+            table(("contribution", "to", "position, um", "rotation, urad", "k", "kind", "how"), rows),
+            note("95 % of the error's lengths lie within U = k u, with u their RMS. k depends on the directions of the error: 1.61 where three are "
+                 "alike, 1.96 where there is one.")]
 
 
 def _conditions(c: Certificate) -> list[str]:

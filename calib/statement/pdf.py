@@ -127,10 +127,10 @@ def _standards(paper: _Paper, c: Certificate) -> None:
 
 
 def _rest(paper: _Paper, c: Certificate) -> None:
-    paper.head("Where it comes from (U, k = 2)")
-    paper.table(("contribution", "to", "position, um", "rotation, urad", "kind"),
+    paper.head("Where it comes from (U, coverage 95 %)")
+    paper.table(("contribution", "to", "position, um", "rotation, urad", "k", "kind"),
                 [(row.name, row.of, "not known" if row.position is None else f"{row.position * 1e6:.2f}",
-                  "" if row.rotation is None else f"{row.rotation * 1e6:.2f}", row.kind) for row in c.budget.rows])
+                  "" if row.rotation is None else f"{row.rotation * 1e6:.2f}", words.factors(row), row.kind) for row in c.budget.rows])
     for row in c.budget.rows:
         paper.line(f"{row.name}: {row.source}.", 7.5)
     paper.head("Conditions")

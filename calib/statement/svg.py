@@ -78,7 +78,7 @@ def seen(boxes: np.ndarray, values: np.ndarray) -> list[tuple[tuple[float, ...],
 
 
 def budget(c: Certificate) -> str:
-    """U (k = 2) of each contribution to a position, as bars."""
+    """U (coverage 95 %) of each contribution to a position, as bars."""
     rows = [row for row in c.budget.rows if row.position is not None]
     top = max([row.position or 0.0 for row in rows] + [1e-12])
     parts = []
@@ -87,4 +87,4 @@ def budget(c: Certificate) -> str:
         size, style = um(row.position or 0.0), "bar" if row.of == "machine" else "measuring"
         parts += [text(92, 16 + 22 * k, row.name, "end"), f'<rect class="{style}" x="98" y="{5 + 22 * k}" width="{wide:.1f}" height="14">'
                   f"{hover(f'{row.name}, {row.of}: {size}')}</rect>", text(102 + wide, 16 + 22 * k, size)]
-    return svg(10 + 22 * len(rows), "contributions to a position's uncertainty, k = 2", parts)
+    return svg(10 + 22 * len(rows), "contributions to a position's uncertainty, coverage 95 %", parts)

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
+from calib.certify.budget import COVERAGE, Budget
 from calib.certify.held_out import Figures
 from calib.certify.promise import Promise
 from calib.statement import words
@@ -31,7 +32,7 @@ def tree(c: Certificate) -> dict[str, Any]:
         "cells": [{"position_low_m": cell.low, "position_high_m": cell.high, "promise": _promise(cell.promise)} for cell in c.cells],
         "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
         "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
-        "conformity": [asdict(k) for k in c.conformity], "budget": {"k": 2, **asdict(c.budget)}, "conditions": asdict(c.conditions),
+        "conformity": [asdict(k) for k in c.conformity], "budget": _budget(c.budget), "conditions": asdict(c.conditions),
         **({} if c.confounds is None else {"confounds": c.confounds.tree()}), **c.provenance}
     return {name: nulls(value) for name, value in out.items()}
 
@@ -45,6 +46,12 @@ def _promise(p: Promise) -> dict[str, Any]:
     return {"position_m": p.position.upper, "rotation_rad": p.turned, "coverage": p.coverage,
             "confidence": p.confidence, "n": p.n, "position": asdict(p.position),
             "rotation": None if p.rotation is None else asdict(p.rotation)}
+
+
+def _budget(b: Budget) -> dict[str, Any]:
+    return {"k": b.machine.k[0], "coverage": COVERAGE, "rows": [asdict(row) for row in b.rows],
+            "machine": [b.machine.position, b.machine.rotation], "measuring": [b.measuring.position, b.measuring.rotation],
+            "machine_k": b.machine.k, "measuring_k": b.measuring.k}
 
 
 def _figures(f: Figures) -> dict[str, Any]:

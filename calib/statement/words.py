@@ -1,5 +1,6 @@
 """A certificate in sentences: the first line says whose scale it rests on, the next what is promised."""
 
+from calib.certify.budget import Contribution, Expanded
 from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.reversal import AxisTest
@@ -130,3 +131,16 @@ def iso230_figures(axis: AxisTest) -> list[tuple[str, float | None]]:
     """(symbol of ISO 230-2:2014, value in m or rad) of one axis."""
     return [("B", axis.B), ("mean B", axis.B_mean), ("M", axis.M), ("E", axis.E), ("E↑", axis.E_up), ("E↓", axis.E_down),
             ("R", axis.R), ("R↑", axis.R_up), ("R↓", axis.R_down), ("A", axis.A), ("A↑", axis.A_up), ("A↓", axis.A_down)]
+
+
+def expanded(total: Expanded) -> str:
+    """A total of the budget with its coverage factors."""
+    position = f"U = {um(total.position)} (k = {total.k[0]:.2f})"
+    return position if total.rotation is None else f"{position} and {urad(total.rotation)} (k = {total.k[1]:.2f})"
+
+
+def factors(row: Contribution) -> str:
+    """Coverage factors of a contribution, of position and of rotation."""
+    if row.k is None:
+        return ""
+    return f"{row.k[0]:.2f}" if row.rotation is None else f"{row.k[0]:.2f}, {row.k[1]:.2f}"
