@@ -4,7 +4,7 @@ Of n poses the machine's error may be as large as the claim's upper end, the ins
 out, its shared errors are drawn once. The squares are whitened by all three together, so that a shared error costs its own few degrees of freedom
 and widens nothing else. Their distribution, the machine's error being the same in each visit of one configuration, is drawn.
 A base (or an instrument) that stands elsewhere moves all poses by one rigid motion: it is estimated, and the claim tested without it.
-Source: docs/mathematics.md, the claim; Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised least squares)
+Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised least squares)
 """
 
 import math
