@@ -214,6 +214,8 @@ class _Handler(BaseHTTPRequestHandler):
         page, port = self.server.page, self.server.page.port
         here = (f"{HOST}:{port}", f"localhost:{port}")
         try:
+            if not (self.path.isascii() and self.path.isprintable()):  # control characters are dropped where a URL is taken apart
+                raise ValueError("no address")
             url = urlsplit(self.path)
             query = parse_qs(url.query, max_num_fields=MOST_FIELDS)
         except ValueError:  # no URL, or more fields than any of ours has

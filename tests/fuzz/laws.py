@@ -31,7 +31,7 @@ def text_of(path: Path) -> str:
 def a_number(path: Path) -> None:
     """What is taken for a number is written as one."""
     text = path.read_bytes().decode("utf-8", "surrogateescape")
-    plain = PLAIN.fullmatch(text) is not None and len(text) <= 100
+    plain = len(text) <= 100 and PLAIN.fullmatch(text) is not None
     for read, matches in ((number, plain), (whole, plain and re.fullmatch(r"[+-]?[0-9]+", text) is not None)):
         try:
             value = read(text)
@@ -43,7 +43,7 @@ def a_number(path: Path) -> None:
 
 def a_key(path: Path) -> None:
     """A key of a rig.toml that is read without complaint is one that is known."""
-    table, _, key = text_of(path).partition(".")
+    table, _, key = text_of(path)[:200].partition(".")
     table = table if table in TABLES else "actuator"
     quoted = json.dumps(key)
     try:
@@ -146,7 +146,7 @@ def requests_to_a_page(path: Path) -> None:
     if b"TOKEN" not in data:
         assert not pressed and b" 200 " not in wire.answer, wire.answer[:80]
     if pressed:
-        assert b"POST /stop" in data and b"rigin:" in data.replace(b"ORIGIN", b"rigin")
+        assert re.search(rb"POST\s+/stop\?", data) and re.search(rb"Origin:", data, re.IGNORECASE)
 
 
 REQUESTS = (b"GET /?token=TOKEN HTTP/1.1\r\nHost: 127.0.0.1:8000\r\n\r\nGET /page.js?token=TOKEN HTTP/1.1\r\nHost: localhost:8000\r\n\r\n",
