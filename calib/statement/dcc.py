@@ -1,27 +1,30 @@
-"""A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units.
+"""A certificate as a digital calibration certificate: XML after PTB's DCC 3.3.0, values in the D-SI's units with their uncertainties.
 
-No package carries the schema files, so that what is written is checked against them outside: DCC 3.2.0 with D-SI 2.1.0 finds no error in it
-but the version's own number; `dcc-validate` of dcc-json-toolkit fetches and applies the one it names. Who calibrated, for whom and where is
-for the owner to say; what is not said stands as "not stated".
-Source: Physikalisch-Technische Bundesanstalt, DCC 3.3.0 (https://ptb.de/dcc/v3.3.0) and D-SI 2.2.1 (https://ptb.de/si).
+No package carries the schema files; a test holds what is written to those that a folder named by DCC_SCHEMAS has. Who calibrated, for whom and
+where is for the owner to state; what is not stated stands as "not stated".
+Source: Physikalisch-Technische Bundesanstalt, DCC 3.3.0 (https://ptb.de/dcc/v3.3.0) and D-SI 2.2 (https://ptb.de/si).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
+from scipy.special import ndtri
+
+from calib.certify import budget
+from calib.certify.budget import COVERAGE
 from calib.certify.conformity import CONFORMS, OPEN
+from calib.certify.promise import Promise
 from calib.statement import words
 from calib.statement.certificate import Certificate
+from calib.statement.dsi import METRE, ONE, RADIAN, SI, UNIFORM, UNITS, Expanded, Interval, Standard, Uncertainty, element
 
 VERSION = "3.3.0"
-DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
+DCC = "https://ptb.de/dcc"
 SCHEMA = f"{DCC} {DCC}/v{VERSION}/dcc.xsd"
 INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
 NOT_STATED = "not stated"
 NOWHERE = "ZZ"  # ISO 3166-1 leaves it to its users
-METRE, RADIAN, ONE = r"\metre", r"\radian", r"\one"
-UNITS = {"C": r"\degreecelsius", "kg": r"\kilogram", "m": METRE, "rad": RADIAN, "s": r"\second"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +107,11 @@ def _statements(part: ET.Element, c: Certificate) -> None:
         _content(found, "name", " and ".join(f"conformity of {k.quantity}" for k in c.conformity))
         _sub(found, "norm", "JCGM 106:2012")
         _content(found, "declaration", *words.conformity_lines(c))
-        verdict = c.conformity[0].verdict
-        if verdict != OPEN:
-            _sub(found, "conformity", "pass" if verdict == CONFORMS else "fail")
+        first = c.conformity[0]
+        if first.verdict != OPEN:
+            _sub(found, "conformity", "pass" if first.verdict == CONFORMS else "fail")
+        elif first.given_scale == CONFORMS:
+            _sub(found, "conformity", "conditionalPass")
 
 
 def _result(part: ET.Element, c: Certificate) -> None:
@@ -122,23 +127,48 @@ def _result(part: ET.Element, c: Certificate) -> None:
     _conditions(part, c)
     results = _sub(part, "results")
     p = c.promise
-    _quantities(results, "promise", words.promise_line(c), [
-        ("bound of the position error", p.position.upper, METRE), ("bound of the rotation error", p.turned, RADIAN),
-        ("share of poses", p.coverage, ONE), ("confidence", p.confidence, ONE), ("configurations", p.n, ONE)])
+    exact = [("share of poses", p.coverage, ONE, None), ("confidence", p.confidence, ONE, None), ("configurations", p.n, ONE, None)]
+    _quantities(results, "promise", (words.promise_line(c),), [*_bounds(c, p), *exact])
     for k, cell in enumerate(c.cells):
-        corners = [(f"{word} {axis}", value, METRE) for word, corner in (("least", cell.low), ("greatest", cell.high))
-                   for axis, value in zip("xyz", corner)]
-        _quantities(results, f"promise in part {k + 1} of the volume", "", [
-            ("bound of the position error", cell.promise.position.upper, METRE),
-            ("bound of the rotation error", cell.promise.turned, RADIAN), *corners])
-    _quantities(results, "repeatability", "RMS distance of visits from their middle, measuring included",
-                [("position", c.repeatability.position, METRE), ("rotation", c.repeatability.rotation, RADIAN)])
+        corners: list[Row] = [(f"{word} {axis}", value, METRE, None) for word, corner in (("least", cell.low), ("greatest", cell.high))
+                              for axis, value in zip("xyz", corner)]
+        _quantities(results, f"promise in part {k + 1} of the volume", (), [*_bounds(c, cell.promise), *corners])
+    r = c.repeatability
+    freedom = max(r.visits - r.poses, 1)  # of each of three directions
+    _quantities(results, "repeatability", ("RMS distance of visits from their middle, measuring included",),
+                [(name, value, unit, None if value is None else Standard(value / (6 * freedom) ** 0.5))
+                 for name, value, unit in (("position", r.position, METRE), ("rotation", r.rotation, RADIAN))])
     for axis in c.iso230:
-        _quantities(results, f"ISO 230-2 of {axis.axis}", f"{axis.positions} positions, {axis.cycles} cycles",
-                    [(name, value, UNITS[axis.unit]) for name, value in words.iso230_figures(axis)])
-    _quantities(results, "expanded uncertainty, coverage factor 2", "contributions to a pose",
-                [(f"{row.name}, {what}", value, unit) for row in c.budget.rows
-                 for what, value, unit in (("position", row.position, METRE), ("rotation", row.rotation, RADIAN))])
+        _quantities(results, f"ISO 230-2 of {axis.axis}", (f"{axis.positions} positions, {axis.cycles} cycles",
+                                                           "the uncertainty is that of one reading"),
+                    [(name, value, UNITS[axis.unit], Standard(axis.u)) for name, value in words.iso230_figures(axis)])
+    totals = [(name, *total) for name, total in (("pose as commanded", _total(c.budget.machine)), ("pose as measured", _total(c.budget.measuring)))]
+    known = [(row.name, row.position, row.rotation, row.k) for row in c.budget.rows if row.k is not None]
+    _quantities(results, "expanded uncertainty", ("contributions to the error of a pose: its length lies within, with the coverage stated",),
+                [(f"{name}, {what}", None if U is None else 0.0, unit, None if U is None else Expanded(U, factor, COVERAGE))
+                 for name, position, rotation, k in [*known, *totals]
+                 for what, U, unit, factor in (("position", position, METRE, k[0]), ("rotation", rotation, RADIAN, k[1]))])
+
+
+Row = tuple[str, float | None, str, Uncertainty]  # label, value, unit, uncertainty
+
+
+def _total(total: budget.Expanded) -> tuple[float, float | None, tuple[float, float]]:
+    return total.position, total.rotation, total.k
+
+
+def _bounds(c: Certificate, p: Promise) -> list[Row]:
+    """What is promised, and the quantile of the errors that it bounds, both with the interval that holds them."""
+    rows: list[Row] = []
+    for what, bound, unit, rms in (("position", p.position, METRE, c.after.position[0]), ("rotation", p.rotation, RADIAN, c.after.rotation[0])):
+        if bound is None:
+            continue
+        both = f"no distribution assumed; confidence {p.confidence:g} of this and all others of the promise at once"
+        spread = (bound.upper - bound.lower) / (2 * ndtri(p.confidence))
+        rows += [(f"bound of the {what} error", bound.upper, unit, Interval(0.0, bound.upper, rms, p.coverage, both)),
+                 (f"quantile of the {what} error", bound.estimate, unit,
+                  Interval(bound.lower, bound.upper, spread, 2 * p.confidence - 1, "no distribution assumed"))]
+    return rows
 
 
 def _conditions(part: ET.Element, c: Certificate) -> None:
@@ -150,28 +180,24 @@ def _conditions(part: ET.Element, c: Certificate) -> None:
     for name, low, high, unit in [*known, ("warm-up", k.warm_up, k.warm_up, UNITS["s"])]:
         condition = _sub(listed, "influenceCondition")
         _content(condition, "name", name.replace("_", " "))
-        data = _sub(condition, "data")
-        for word, value in (("least", low), ("greatest", high)):
-            _quantity(data, word, value, unit)
+        _quantity(_sub(condition, "data"), "at the exposures", (low + high) / 2, unit, Interval(low, high, (high - low) / 12**0.5, 1.0, UNIFORM))
 
 
-def _quantities(results: ET.Element, name: str, said: str, rows: Sequence[tuple[str, float | None, str]]) -> None:
+def _quantities(results: ET.Element, name: str, lines: Sequence[str], rows: Sequence[Row]) -> None:
     """A result of those quantities that are known; none where none is."""
-    known = [(label, value, unit) for label, value, unit in rows if value is not None]
+    known = [(label, value, unit, uncertainty) for label, value, unit, uncertainty in rows if value is not None]
     if not known:
         return
     result = _sub(results, "result")
     _content(result, "name", name)
-    if said:
-        _content(result, "description", said)
+    if lines:
+        _content(result, "description", *lines)
     data = _sub(result, "data")
-    for label, value, unit in known:
-        _quantity(data, label, value, unit)
+    for label, value, unit, uncertainty in known:
+        _quantity(data, label, value, unit, uncertainty)
 
 
-def _quantity(data: ET.Element, label: str, value: float, unit: str) -> None:
+def _quantity(data: ET.Element, label: str, value: float, unit: str, uncertainty: Uncertainty) -> None:
     quantity = _sub(data, "quantity")
     _content(quantity, "name", label)
-    real = ET.SubElement(quantity, f"{{{SI}}}real")
-    for name, said in (("value", f"{value:.9g}"), ("unit", unit)):
-        ET.SubElement(real, f"{{{SI}}}{name}").text = said
+    quantity.append(element(value, unit, uncertainty))

@@ -3,9 +3,11 @@
 import importlib.util
 import io
 import json
+import os
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -205,7 +207,10 @@ CHILDREN = {  # of elements of DCC 3.3.0, in their order; those with a mark must
     "contact": "name! location!", "customer": "name! location!", "respPerson": "person! mainSigner", "measurementResults": "measurementResult!",
     "measurementResult": "name! description usedMethods influenceConditions results!", "usedMethod": "name! norm",
     "influenceCondition": "name! data!",
-    "result": "name! description data!", "quantity": "name real!", "real": "value! unit!"}
+    "result": "name! description data!", "quantity": "name real constant", "real": "value! unit! measurementUncertaintyUnivariate!",
+    "constant": "value! unit!", "measurementUncertaintyUnivariate": "standardMU expandedMU coverageIntervalMU",
+    "standardMU": "valueStandardMU! distribution!", "expandedMU": "valueExpandedMU! coverageFactor! coverageProbability! distribution!",
+    "coverageIntervalMU": "valueStandardMU! intervalMin! intervalMax! coverageProbability! distribution!"}
 
 
 def test_the_digital_calibration_certificate_has_the_published_structure(held):
@@ -227,6 +232,43 @@ def test_the_digital_calibration_certificate_has_the_published_structure(held):
     real = {quantity[0][0].text: quantity[1] for quantity in root.iter(DCC + "quantity")}
     assert float(real["bound of the position error"][0].text) == pytest.approx(held.tree["promise"]["position_m"])
     assert real["bound of the position error"][1].text == r"\metre"
+
+
+def test_a_bound_is_written_with_its_coverage_and_a_contribution_with_its_factor(held):
+    root = ElementTree.parse(held.folder / "made" / "certificate.xml").getroot()
+    real = {quantity[0][0].text: quantity[1] for quantity in root.iter(DCC + "quantity")}
+    interval = {part.tag.split("}")[1]: part.text for part in real["bound of the position error"][2][0]}
+    assert float(interval["intervalMax"]) == pytest.approx(held.tree["promise"]["position_m"]) and float(interval["coverageProbability"]) == 0.95
+    budget = {row["name"]: row for row in held.tree["budget"]["rows"]}
+    expanded = {part.tag.split("}")[1]: part.text for part in real["geometry, position"][2][0]}
+    assert float(expanded["valueExpandedMU"]) == pytest.approx(budget["geometry"]["position"])
+    assert float(expanded["coverageFactor"]) == pytest.approx(budget["geometry"]["k"][0], abs=1e-4) and expanded["distribution"] == "normal"
+
+
+@pytest.mark.skipif("DCC_SCHEMAS" not in os.environ, reason="DCC_SCHEMAS names no folder with dcc.xsd and SI_Format.xsd")
+def test_the_digital_calibration_certificate_keeps_ptbs_schema(held):
+    """dcc.xsd and SI_Format.xsd as PTB publishes them (LGPL-3): https://ptb.de/dcc/v3.3.0/dcc.xsd and the D-SI's that it imports."""
+    etree = pytest.importorskip("lxml.etree")
+    folder = Path(os.environ["DCC_SCHEMAS"])
+
+    class Local(etree.Resolver):
+        def resolve(self, url, public_id, context):
+            name = url.rsplit("/", 1)[-1]
+            if (folder / name).exists():
+                return self.resolve_filename(str(folder / name), context)
+            space = "http://www.w3.org/2000/09/xmldsig#" if "xmldsig" in url else "http://qudt.org/vocab/"
+            return self.resolve_string(f'''<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">
+                <xs:element name="Signature"/><xs:simpleType name="quantitykind"><xs:restriction base="xs:string"/></xs:simpleType>
+                </xs:schema>''', context)
+
+    parser = etree.XMLParser()
+    parser.resolvers.add(Local())
+    published = etree.parse(str(folder / "dcc.xsd"), parser)
+    version = published.getroot().get("version")
+    made = etree.parse(str(held.folder / "made" / "certificate.xml"))
+    made.getroot().set("schemaVersion", version)  # the folder may hold an older one, of which 3.3.0 is an extension
+    schema = etree.XMLSchema(published)
+    assert schema.validate(made), schema.error_log
 
 
 def test_paper_has_every_page(held):
