@@ -1,19 +1,21 @@
 """What a calibration promises, from poses that it was not fitted to."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.calibration import Calibration
-from calib.certify.claim import Claim, promise
+from calib.certify.claim import Claim, dispersed, promise, workspace_of
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
+from calib.certify.machine_draws import COUNT, Sizes, drawn, sized
+from calib.certify.machines import Machines
 from calib.correct.correction import Correction, calibrate, geometry
 from calib.correct.interpolate.radial import Radial
-from calib.identify.geometry import Identified, identify, pose_jacobian, to_pose
+from calib.identify.geometry import Identified, identify, loop_jacobian, parameters, pose_jacobian, to_pose
 from calib.samples import Samples, precision
 from calib.identify.tolerance import tolerance
 from rig.kinds import Struts
@@ -22,17 +24,23 @@ from rig.parallel import parallel_map
 Progress = Callable[[str, int, int], None]  # called with (label, done, of) as work goes on
 
 FOLDS = 5
+SURELY = 0.9  # probability of a function of place beside everything else from which a remainder may stand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them"""
+    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them
+    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 and scatter : (axes,) m of
+    these about the correction"""
 
     correction: Correction[Struts, Radial]
     found: Identified
     label: np.ndarray
     held_out: HeldOut | None
+    machines: Machines | None = None
+    covariance: np.ndarray | None = None
+    scatter: np.ndarray | None = None
 
 
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
@@ -65,11 +73,14 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     said = progress or silent
     said("fitting the geometry", 0, 1)
     alone = geometry(samples, nominal)
-    correction, found = calibrate(samples, nominal, alone=alone)
-    said("fitting the geometry", 1, 1)
     plain: Correction[Struts, Radial] = Correction(nominal, alone.mechanism, (None,) * len(nominal.axes))
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
+        said("fitting the geometry", 1, 1)
         return Certified(plain, alone, label, None)
+    first = Certified(plain, alone, label, None)
+    sizes = _sizes(samples, first, rng)
+    correction, found = calibrate(samples, nominal, alone=alone, only=sizes.of_place() > SURELY)
+    said("fitting the geometry", 1, 1)
     like, covariance = correction.remainder, samples.total_covariance()
 
     def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
@@ -77,12 +88,13 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
         return [calibrate(some, nominal, how, alone=known)[0] for how in (("none", like) if any(like) else ("none",))]
 
     before, after, *more = in_turn(samples, label, corrections, said)
+    done = replace(first, held_out=compare(before, after, covariance, rng, label))
     if more:
         weight = precision(covariance)
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if pays(loss[0] - loss[1]):
-            return Certified(correction, found, label, compare(before, more[0], covariance, rng, label))
-    return Certified(plain, alone, label, compare(before, after, covariance, rng, label))
+            done = Certified(correction, found, label, compare(before, more[0], covariance, rng, label))
+    return _with_machines(samples, done, sizes, rng)
 
 
 def silent(label: str, done: int, of: int) -> None:
@@ -111,13 +123,45 @@ def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Se
     return out
 
 
+def _sizes(samples: Samples, first: Certified, rng: np.random.Generator) -> Sizes:
+    """Sizes of what struts do beyond their geometry, each visit a sample of its own, by a geometry alone."""
+    nominal = first.correction.nominal
+    return sized(first.found, tolerance(_each_configuration(samples, first)[1], nominal), samples, first.label, nominal, rng)
+
+
+def _with_machines(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
+    """The Certified with the machines that its samples leave possible."""
+    correction, found = done.correction, _each_configuration(samples, done)[1]
+    noise = dispersed(found, correction.nominal, COUNT, rng)
+    known = tolerance(found, correction.nominal)
+    return with_machines(done, drawn(done.found, known, samples, sizes, correction.nominal, workspace_of(correction)[0], noise, rng))
+
+
+def with_machines(done: Certified, machines: Machines) -> Certified:
+    """The Certified with Machines about its correction, and what these leave unknown."""
+    places, T = workspace_of(done.correction)
+    covariance, scatter = machines.second_moments(loop_jacobian(T, done.correction.fitted), done.correction.rho(places))
+    return replace(done, machines=machines, covariance=covariance, scatter=scatter)
+
+
+def refitted(done: Certified, correction: Correction[Struts, Radial], found: Identified) -> Certified:
+    """The Certified with another Correction and Identified of the same samples; its machines are about these."""
+    moved = replace(done, correction=correction, found=found)
+    if done.machines is None:
+        return moved
+    return with_machines(moved, done.machines.moved(parameters(correction.fitted) - parameters(done.correction.fitted)))
+
+
+def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Identified]:
+    """(Samples, Identified) with one row for each configuration that was visited, however often."""
+    nominal, good = done.correction.nominal, done.found.inliers
+    label = np.unique(done.label[good], return_inverse=True)[1]
+    agreed = samples.take(good)
+    each = witnesses(agreed, label, to_pose(agreed.T_base_platform, nominal))
+    return each, identify(each, nominal, done.correction.rho(each.effective), done.found.prior, done.found)
+
+
 def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
-    nominal = done.correction.nominal
-    good = done.found.inliers
-    label = np.unique(done.label[good], return_inverse=True)[1]
-    kept = samples.take(good)
-    each = witnesses(kept, label, to_pose(kept.T_base_platform, nominal))
-    offset = done.correction.rho(each.effective)
-    found = identify(each, nominal, offset, done.found.prior, done.found)
-    return promise(found, tolerance(found, nominal), done.correction, each, rng)
+    each, found = _each_configuration(samples, done)
+    return promise(found, tolerance(found, done.correction.nominal), done.correction, each, rng, done.machines)

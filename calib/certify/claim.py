@@ -7,12 +7,14 @@ to draw, is the claim, docs/mathematics.md (21) in draws. How much noise and mis
 (chi-square: few configurations tell it badly).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from calib.certify.configurations import LEAST
+from calib.certify.machines import Machines
 from calib.correct.correction import Correction, closing
 from calib.correct.interpolate.radial import Radial
 from calib.identify.geometry import PRIOR, Identified, parameters, pose_jacobian, to_pose
@@ -23,7 +25,7 @@ from rig.kinds import Struts
 from rig.plan import FILL, low_discrepancy
 from rig.pose import difference
 
-PLACES = 256  # of the workspace
+PLACES = 128  # of the workspace
 DRAWS = 1000
 TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it
 EDGES = (0.5, 0.025, 0.975)
@@ -92,13 +94,19 @@ def claimed(workspace: Workspace, draws: np.ndarray, samples: Samples, told: Tol
     told : Told by the poses that the machines were drawn from; rng : numpy Generator
     """
     before, after = workspace.squares(draws)
-    seen = np.full(len(draws), np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
+    return concluded(before, after, workspace.words, samples, told, rng)
+
+
+def concluded(before: np.ndarray, after: np.ndarray, words: str, samples: Samples, told: Told, rng: np.random.Generator) -> Claim:
+    """Claim of drawn machines' mean squares over the workspace, before and after (d, 2) m^2 and rad^2. words : what is meant by it"""
+    count = len(after)
+    seen = np.full(count, np.trace(samples.covariance[:, :3, :3], axis1=1, axis2=2).mean())
     if samples.common.shape[2]:
-        shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], len(draws)))
+        shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], count))
         seen = seen + (shared**2).sum(axis=1).mean(axis=0)
     ratio = np.sqrt(before[:, 0] / after[:, 0])
     measured = np.sqrt((before[:, 0] + seen) / (after[:, 0] + seen))
-    return Claim(*told, workspace.words, _both(before), _both(after), _three(ratio), _three(measured))
+    return Claim(*told, words, _both(before), _both(after), _three(ratio), _three(measured))
 
 
 def _three(values: np.ndarray) -> tuple[float, ...]:
@@ -128,11 +136,12 @@ def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) 
 
 
 def promise(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
-            rng: np.random.Generator) -> Claim:
+            rng: np.random.Generator, machines: Machines | None = None) -> Claim:
     """Claim of a calibration of a machine on struts.
 
     found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
-    samples : Samples of one pose a configuration; rng : numpy Generator
+    samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts may do beyond their
+    geometry, or None: parameters and scatter alone
     """
     distinct = len(samples)
     determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
@@ -141,16 +150,28 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Stru
     told = Told(distinct, determined, better, len(found.prior), _tolerance_in_words(tolerance))
     if distinct < LEAST:
         return too_few(told, middle)
-    commands = low_discrepancy(nominal.strut_range, PLACES, FILL)
-    commands, T = closing(commands, correction)
+    commands, T = workspace_of(correction)
     offset = difference(T, mechanisms.of(nominal).forward(commands, nominal))
-    back = to_pose(T, fitted)
+    back, J = to_pose(T, fitted), pose_jacobian(T, fitted)
+    if machines is not None:
+        claim = concluded(*machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng)
+        corrected = tuple(part is not None for part in correction.remainder)
+        return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.of(nominal).AXIS))
     own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T
     if correction.extension is not None:
         own = own + extension_scatter(correction, commands, back)
-    workspace = Workspace(pose_jacobian(T, fitted), -offset, own, middle)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
-    return claimed(workspace, draws, samples, told, rng)
+    return claimed(Workspace(J, -offset, own, middle), draws, samples, told, rng)
+
+
+def workspace_of(correction: Correction[Any, Any]) -> tuple[np.ndarray, RigidTransform]:
+    """(commands (m, axes) m, poses (m,) of the corrected machine) all over the middle of the strokes."""
+    return closing(low_discrepancy(correction.nominal.strut_range, PLACES, FILL), correction)
+
+
+def dispersed(found: Identified, nominal: Struts, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count,) draws of by how much the poses' variances exceed the stated ones, by a fit of one pose a configuration."""
+    return dispersion(found.cost, len(nominal.axes) * int(found.inliers.sum()), count, rng)
 
 
 def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, back: np.ndarray) -> np.ndarray:
@@ -167,7 +188,7 @@ def extension_scatter(correction: Correction[Any, Any], commands: np.ndarray, ba
 def _machines(found: Identified, tolerance: Tolerance, nominal: Struts, rng: np.random.Generator) -> np.ndarray:
     """(DRAWS, p) m, parameters less the owner's, drawn from what poses and owner's tolerance leave."""
     pick = rng.choice(len(tolerance.weight), size=DRAWS, p=tolerance.weight)
-    inflated = dispersion(found.cost, len(nominal.axes) * int(found.inliers.sum()), DRAWS, rng)
+    inflated = dispersed(found, nominal, DRAWS, rng)
     z = rng.normal(size=(DRAWS, len(found.prior)))
     H = tolerance.information / inflated[:, None, None] + np.eye(len(found.prior)) / spread(tolerance.widths, tolerance.counts)[pick][:, :, None] ** 2
     L = np.linalg.cholesky(H)

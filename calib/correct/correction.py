@@ -242,12 +242,13 @@ def geometry(samples: Samples, nominal: Struts, near: Identified | None = None) 
 
 
 def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial | None, ...] = "find",
-              alone: Identified | None = None) -> tuple[Correction[Struts, Radial], Identified]:
+              alone: Identified | None = None, only: np.ndarray | None = None) -> tuple[Correction[Struts, Radial], Identified]:
     """(Correction, Identified) of samples: geometry fitted, then what it leaves extended over the configuration space.
 
     samples : Samples; nominal : the owner's
     remainder : "find" keeps a strut's where it stands out of the noise; "none" fits the geometry alone; a tuple of Radial or
     None takes over size and smoothness from there; alone : `geometry` of the same, where it is known already
+    only : (axes,) bool, the struts that may have one where it is to be found; all by default
     Raises RigError for a machine without struts, NotEnoughData as `identify`
     """
     nominal = struts_of(nominal)
@@ -256,8 +257,9 @@ def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial |
     like = remainder if isinstance(remainder, tuple) else parts
     if remainder == "none" or (remainder == "find" and not found.scatter.any()) or (like is remainder and not any(like)):
         return Correction(nominal, found.mechanism, parts), found
+    may = np.ones(len(nominal.axes), bool) if only is None else only
     for _ in range(ROUNDS):
-        parts = _remainder(samples, found, nominal, parts, like)
+        parts = _remainder(samples, found, nominal, parts, like, may)
         found = identify(samples, nominal, Correction(nominal, nominal, parts).rho(samples.effective), found.prior, found)
         if remainder == "find":
             if not any(parts):
@@ -267,7 +269,7 @@ def calibrate(samples: Samples, nominal: Struts, remainder: str | tuple[Radial |
 
 
 def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tuple[Radial | None, ...],
-               like: tuple[Radial | None, ...]) -> tuple[Radial | None, ...]:
+               like: tuple[Radial | None, ...], may: np.ndarray) -> tuple[Radial | None, ...]:
     """Per strut a Radial of what the geometry leaves; without one to be like, where it leaves more than noise, or None."""
     good = found.inliers
     left = found.residuals + Correction(nominal, nominal, before).rho(samples.effective)
@@ -275,7 +277,7 @@ def _remainder(samples: Samples, found: Identified, nominal: Struts, before: tup
     given = any(like)
 
     def part(i: int) -> Radial | None:
-        if (like[i] is None) if given else not found.scatter[i]:
+        if (like[i] is None) if given else not (found.scatter[i] and may[i]):
             return None
         return radial.fit(samples.effective[good], left[good, i], variances[good, i], i, nominal.strut_range, like[i])
 

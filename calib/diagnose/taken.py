@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from calib.certify.certificate import Certified, Progress, silent
+from calib.certify.certificate import Certified, Progress, silent, with_machines
 from calib.correct.physics import Physics, Unknown
 from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.lack_of_fit import LackOfFit
@@ -54,6 +54,22 @@ class Taken:
 
     def with_geometry(self, done: Certified) -> tuple[Physics, np.ndarray]:
         """(Physics, (p, p) m^2 covariance of the geometry), of a geometry certified on these samples and the physics together."""
+        response = self._response(done)
+        cross = response @ self.physics.own
+        unknown = tuple(replace(u, corrected=_corrected(u.place, done)) for u in self.physics.unknown)
+        covariance = done.found.covariance + cross @ response.T if done.covariance is None else done.covariance
+        return replace(self.physics, cross=cross, unknown=unknown), covariance
+
+    def drawn(self, done: Certified, rng: np.random.Generator) -> Certified:
+        """The Certified with what the physics' own errors add to its machines."""
+        if done.machines is None or not self.physics.own.any():
+            return done
+        errors = rng.multivariate_normal(np.zeros(len(self.physics.own)), self.physics.own, len(done.machines.parameters), method="eigh")
+        course = np.einsum("nac,dc->dna", self._columns(), errors)
+        return with_machines(done, done.machines.with_more(errors @ self._response(done).T, course))
+
+    def _response(self, done: Certified) -> np.ndarray:
+        """(p, c) m, change of the fitted geometry with each coordinate of the physics."""
         found, s, base = done.found, self.samples, done.correction
         loops = Loops(s, s.effective - base.rho(s.effective), base.nominal, found.prior)
         start, sigma = parameters(found.mechanism), np.sqrt(np.diag(self.physics.own))
@@ -63,9 +79,7 @@ class Taken:
             if sigma[i] > 0 and column.any():
                 moved = Loops(s, loops.lengths + sigma[i] * column, base.nominal, found.prior)
                 response[:, i] = (moved.fit(start, found.inliers, found.scatter).parameters - middle) / sigma[i]
-        cross = response @ self.physics.own
-        unknown = tuple(replace(u, corrected=_corrected(u.place, done)) for u in self.physics.unknown)
-        return replace(self.physics, cross=cross, unknown=unknown), found.covariance + cross @ response.T
+        return response
 
     def _columns(self) -> np.ndarray:
         """(n, axes, c) m by which struts lengthen with each coordinate; nothing for those that only cameras see."""

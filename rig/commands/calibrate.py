@@ -166,7 +166,7 @@ def _values_name(out: Path) -> str:
 
 def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator, progress: Progress,
              joint: bool, taken: Taken | None) -> Calibration:
-    from calib.certify.certificate import certify, promised
+    from calib.certify.certificate import certify, promised, refitted
     from calib.report import calibration_page
     from rig.kinds import hexapod_of, struts_of
 
@@ -179,7 +179,9 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str]
 
         progress("solving cameras and geometry together", 0, 1)
         correction, found = refine(sampled, recording.design, done.correction, done.found)
-        done = replace(done, correction=correction, found=found)
+        done = refitted(done, correction, found)
+    if taken is not None:
+        done = taken.drawn(done, rng)
     claim = promised(samples, done, rng)
     calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)

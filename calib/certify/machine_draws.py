@@ -1,0 +1,150 @@
+"""Machines drawn as recorded poses leave them: parameters, what struts do beyond them, and the poses' shared errors, all together.
+
+What the design of a recording confounds is drawn together: where play, time or a function of the configuration stand for a parameter, one
+draw has the one and the next the other. docs/mathematics.md (21)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.certify.component_sizes import Closures, sizes
+from calib.certify.deviations import CONDITION, PLACE, SAMPLE, Component, components, scaled
+from calib.certify.machines import Machines
+from calib.identify.geometry import Identified, loop_jacobian, parameters, strut_jacobian
+from calib.identify.tolerance import Tolerance, spread
+from calib.samples import Samples
+from rig import mechanisms
+from rig.kinds import Struts
+
+ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
+COUNT, EACH = 128, 8  # draws of sizes, and machines drawn for each
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sizes:
+    """inliers : (n,) bool, the samples that say it; components : per strut its Components; draws : per strut (COUNT, its components) m, of their
+    sizes; the same row of all struts is one machine."""
+
+    inliers: np.ndarray
+    components: list[list[Component]]
+    draws: list[np.ndarray]
+
+    def of_place(self) -> np.ndarray:
+        """(axes,) probability that a strut's deviation has a function of place, as these samples tell it from everything else."""
+        return np.array([(draws[:, [part.over == PLACE for part in own]] > 0).any(axis=1).mean() for own, draws in zip(self.components, self.draws)])
+
+
+def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarray, nominal: Struts, rng: np.random.Generator) -> Sizes:
+    """Sizes of what struts do beyond their geometry.
+
+    found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,) configurations
+    """
+    samples, label = samples.take(found.inliers), np.unique(label[found.inliers], return_inverse=True)[1]
+    model, struts = _Closures(found, samples), []
+    parts, y = components(samples, label, nominal.strut_range), model.about(nominal)
+    for i, own in enumerate(parts):
+        D, C = model.D[:, i], model.common[:, i]
+        V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
+        unit, left = np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1))), np.sqrt(np.mean(model.left[:, i] ** 2))
+        struts.append(Closures(y[:, i], V, float(unit), float(left), own))
+    return Sizes(found.inliers, parts, sizes(struts, COUNT, rng))
+
+
+def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, nominal: Struts, places: np.ndarray, noise: np.ndarray,
+          rng: np.random.Generator) -> Machines:
+    """Machines about a fit. found : Identified, whose mechanism the parameters are about; known : Tolerance; samples : Samples, each visit one
+
+    sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
+    """
+    model, parts, x = _Closures(found, samples.take(sizes.inliers)), sizes.components, scaled(places, nominal.strut_range)
+    at = [[part.kernel is not None and part.at(x) or None for part in own] for own in parts]
+    middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
+    width = spread(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
+    size = sizes.draws
+    together = np.zeros((count, EACH, len(parts), len(parts)))
+    off = np.empty((count, EACH, len(middle)))
+    squares = [np.zeros((count, EACH, len(own))) for own in parts]
+    mean, variance = np.zeros((2, count, EACH, len(x), len(parts)))
+    for k in range(count):
+        off[k], coefficients = model.draw(y, parts, [one[k] for one in size], width[k], float(noise[k]), rng)
+        course = np.zeros((EACH, len(y), len(parts)))  # of what goes as it went while the poses were recorded
+        for i, own in enumerate(parts):
+            for j, part in enumerate(own):
+                s = size[i][k, j]
+                if not s:
+                    continue
+                m, v = _used(part, s, coefficients.get((i, j)), at[i][j], x)
+                if part.over == CONDITION and part.use is None:
+                    values = coefficients[i, j] @ part.basis.T
+                    course[:, :, i] += values
+                    squares[i][k, :, j] = (values**2).mean(axis=1)
+                else:
+                    squares[i][k, :, j] = (m**2 + v).mean(axis=1)
+                mean[k, :, :, i] += m
+                variance[k, :, :, i] += v
+        mean[k] += course.mean(axis=1)[:, None]
+        course -= course.mean(axis=1, keepdims=True)
+        together[k] = np.swapaxes(course, 1, 2) @ course / len(y)
+    less = np.exp(2 * ALIKE * rng.normal(size=(count, EACH, 1, 1)))
+    return Machines(off.reshape(count * EACH, -1) + middle, parts, [one.reshape(count * EACH, -1) for one in squares],
+                    *((part.reshape(count * EACH, *part.shape[2:])) for part in (mean, less * variance, less * together)))
+
+
+def _used(part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None,
+          x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(mean (EACH, m) m, variance (EACH, m) m^2) of a component of a size over places x (m, axes).
+
+    c : (EACH, r) its coefficients, or None; at : what `Component.at` says
+    """
+    nothing = np.zeros((EACH, len(x)))
+    if c is None or part.over not in (CONDITION, PLACE):  # other visits and configurations have their own
+        return nothing, nothing + size**2
+    if at is not None:
+        return c @ at[0].T, nothing + size**2 * at[1]
+    if part.use is not None:
+        factor, about = part.use(x)
+        return c * factor, c**2 * about
+    return nothing, nothing
+
+
+class _Closures:
+    """The struts' closures at a fit as a linear model: left = -D (p - p_fit) - deviation + common z + own."""
+
+    def __init__(self, found: Identified, samples: Samples) -> None:
+        T, self.fitted = samples.T_base_platform, found.mechanism
+        A = strut_jacobian(T, self.fitted)
+        self.D, self.common = loop_jacobian(T, self.fitted), A @ samples.common
+        self.left = samples.effective - mechanisms.of(self.fitted).inverse(T, self.fitted)
+        self.own = A @ samples.covariance @ np.swapaxes(A, 1, 2)
+
+    def about(self, nominal: Struts) -> np.ndarray:
+        """(n, axes) m, the closures as the owner's figures have them, to first order."""
+        return np.asarray(self.left + self.D @ (parameters(nominal) - parameters(self.fitted)))
+
+    def draw(self, y: np.ndarray, parts: list[list[Component]], size: list[np.ndarray], width: np.ndarray, noise: float,
+             rng: np.random.Generator) -> tuple[np.ndarray, dict[tuple[int, int], np.ndarray]]:
+        """((EACH, p) parameters less the owner's, {(strut, component): (EACH, r) coefficients}), m, drawn together.
+
+        y : (n, axes) m, from `about`; size : per strut (components,) m; width : (p,) m; noise : factor
+        """
+        n, axes = y.shape
+        own = noise * self.own
+        columns, priors, which = [-self.D, self.common], [width, np.full(self.common.shape[2], np.sqrt(noise))], []
+        for i, mine in enumerate(parts):
+            for j, part in enumerate(mine):
+                if part.over == SAMPLE:
+                    own = own + size[i][j] ** 2 * np.diag(np.eye(axes)[i])
+                elif size[i][j]:
+                    column = np.zeros((n, axes, part.basis.shape[1]))
+                    column[:, i] = -part.basis
+                    columns.append(column)
+                    priors.append(np.full(part.basis.shape[1], size[i][j]))
+                    which.append((i, j))
+        X, prior = np.concatenate(columns, axis=2), np.concatenate(priors)
+        white = np.linalg.solve(np.linalg.cholesky(own), np.concatenate([X * prior, y[..., None]], axis=2)).reshape(n * axes, -1)
+        H = white[:, :-1].T @ white[:, :-1] + np.eye(len(prior))
+        mean = np.linalg.solve(H, white[:, :-1].T @ white[:, -1])
+        c = prior * (mean + np.linalg.solve(np.linalg.cholesky(H).T, rng.normal(size=(len(prior), EACH))).T)
+        ends = np.cumsum([len(one) for one in priors])
+        return c[:, : ends[0]], {at: c[:, start:end] for at, start, end in zip(which, ends[1:-1], ends[2:])}
