@@ -144,8 +144,8 @@ def wanted(case: Case, count: int = 120) -> np.ndarray:
 def drive(case: Case, values: np.ndarray) -> np.ndarray:
     """(n, 4, 4) poses at which the machine really stands when commanded to values (n, axes) in turn, as fast and with dwells as recorded.
 
-    It starts from home anew, and the recording's day with it, as often as the day recorded is over: conditions stay inside those recorded. Only steps
-    that were lost are lost.
+    It is homed and starts anew, and the recording's day with it, as often as the day recorded is over: conditions stay inside those recorded.
+    Homing takes lost steps away.
     """
     out, home, left = [], case.owner.ranges.mean(axis=1), np.asarray(values, float)
     while len(left):

@@ -82,13 +82,13 @@ class GrowingBase(Law):
 
 @dataclass(frozen=True)
 class Lost(Law):
-    """Steps lost at moments. moments, sizes : (m,) s and m"""
+    """Steps lost at moments, until the machine is homed. moments, sizes : (m,) s and m"""
 
     moments: np.ndarray
     sizes: np.ndarray
 
     def later(self) -> Self:
-        return replace(self, moments=np.full(len(self.moments), -1.0))
+        return replace(self, sizes=0 * self.sizes)  # the axes are homed
 
     def beyond(self, motion: Motion, poses: np.ndarray) -> np.ndarray:
         return self.axes * ((motion.looked[:, None] > self.moments) @ self.sizes)[:, None]
