@@ -16,7 +16,7 @@ from calib.diagnose.report.words import verdict
 from rig import recording
 from rig.design import Arm
 from rig.observed import Poses
-from rig.page.document import State
+from rig.judgement import State
 from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
 

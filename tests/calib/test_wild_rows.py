@@ -12,7 +12,7 @@ from calib.diagnose.report.page import diagnosis_page, judged
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
 from rig import masking
-from rig.page.document import State
+from rig.judgement import State
 from tests.calib.recorded import recorded
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
 
