@@ -76,7 +76,8 @@ def _said(one: Suspect, reference: Reference) -> str:
         return (f"all struts grew by {value * 1e6:.1f} +- {2 * sigma * 1e6:.1f} um/m (k=2), {value / STEEL:+.1f} K of steel: a new temperature")
     if one.kind == "payload":
         return f"struts yield to {value:.2e} +- {2 * sigma:.1e} kg/(N/m) (k=2) of added load over stiffness: another payload"
-    word = {"zero": "the zero moved by", "nut": "play grew by"}[one.kind]
+    grown = "play grew by" if one.since else "play that the calibration does not hold, there from the beginning or grown since,"
+    word = {"zero": "the zero moved by", "nut": grown}[one.kind]
     return f"{one.name}: {word} {value * 1e3:+.4f} +- {2 * sigma * 1e3:.4f} mm (k=2)"
 
 

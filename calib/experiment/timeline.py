@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.experiment.notebook import chosen, spent
 from calib.experiment.record import Look
-from rig.judgement import State, Verdict
+from rig.judgement import LOOK, Evidence, Missing, Verdict, judge
 from rig.page.document import Page, write
 from rig.page.figure import COLOURS, Series, panel
 from rig.page.parts import heading, listed, note, paragraph, table
@@ -22,15 +22,20 @@ def timeline_page(path: Path, rig: str, looks: Sequence[Look], budget: float, en
                    [_row(before, look) for before, look in zip((None, *looks), looks)])]
     if after:
         parts += [heading("And then"), listed(after)]
-    write(path, Page("investigate", f"What is the matter with {rig}", judged(looks, ended), parts, to_do(looks, ended)))
+    verdict = judged(looks, ended)
+    write(path, Page("investigate", f"What is the matter with {rig}", verdict, parts, verdict.next))
 
 
 def judged(looks: Sequence[Look], ended: str) -> Verdict:
-    """The verdict: good where what is there has its name or nothing is left out, to be looked at while anything is alike or has none."""
+    """The verdict: good where nothing is left out, to be looked at where something is, has no name or cannot be told from something else."""
     last = looks[-1]
     named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is left out"
-    settled = not last.questions and not last.unknown
-    return Verdict(State.GOOD if settled else State.CHECK, f"{named}: {ended or 'it goes on'}")
+    left = [f"the geometry alone leaves out {name}" for name in last.findings]
+    left += [f"nothing in the catalogue explains {text}" for text in last.unknown]
+    missing = [*([] if ended else [Missing("it goes on")]), *([Missing("several explanations are alike")] if last.questions else [])]
+    steps = to_do(looks, ended)
+    return judge(Evidence(f"{named}: {ended or 'it goes on'}", tuple(steps), unexplained=tuple(left), missing=tuple(missing),
+                          look=steps[0] if steps else LOOK))
 
 
 def to_do(looks: Sequence[Look], ended: str) -> list[str]:

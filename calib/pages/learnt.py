@@ -6,19 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.judgement import State, Verdict
+from rig.judgement import AGREES, Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, listed, note, paragraph
 
 MANY = 6  # changes beyond which they are not believed to be steps
-OFF = 1.5  # of what is expected, from which something is left to learn
+ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC --out found`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learnt:
     """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong; source : of the poses
-    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None; moved : m RMS from rig.toml"""
+    said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None; moved : m RMS from rig.toml
+    returning : struts that go back and forth, a sentence each"""
 
     frames: np.ndarray
     innovations: np.ndarray
@@ -27,6 +28,7 @@ class Learnt:
     dropped: Sequence[int]
     known: float | None
     moved: float
+    returning: Sequence[str] = ()
 
 
 def learnt_page(path: Path | str, name: str, learnt: Learnt, links: Sequence[Link] = ()) -> None:
@@ -41,7 +43,8 @@ def learnt_page(path: Path | str, name: str, learnt: Learnt, links: Sequence[Lin
               panel("innovation", ("frame", "standard deviations"), [Series(learnt.frames, sizes)], log=True, level=1.0)]
     if learnt.dropped:
         parts += [heading("Left out"), paragraph(f"Frames {', '.join(map(str, learnt.dropped))}: their poses agree with no other.")]
-    write(path, Page("online", f"Learning from {name}", judged(learnt), parts, to_do(learnt), links))
+    verdict = judged(learnt)
+    write(path, Page("online", f"Learning from {name}", verdict, parts, verdict.next, links))
 
 
 def judged(learnt: Learnt) -> Verdict:
@@ -51,15 +54,20 @@ def judged(learnt: Learnt) -> Verdict:
     known = "" if learnt.known is None else f"; joints and zeros are known to {learnt.known * 1e3:.4f} mm RMS"
     changes = f"{len(learnt.said)} change{'s' * (len(learnt.said) != 1)}" if learnt.said else "nothing jumped"
     why = f"{changes}, the last poses off what was expected by {off:.2f} standard deviations{known}"
+    unexplained = list(learnt.returning)
     if len(learnt.said) > MANY:
-        return Verdict(State.BAD, f"{why}: these are no few steps, something acts that the geometry lacks")
-    return Verdict(State.CHECK if learnt.said or learnt.dropped or off > OFF else State.GOOD, why)
+        unexplained.append("these are no few steps, something acts that the geometry lacks")
+    if off > AGREES:
+        unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
+    missing = [Missing("something jumped", to_do(learnt)[0])] if learnt.said else []
+    missing += [Missing("poses were left out")] if learnt.dropped else []
+    return judge(Evidence(why, tuple(to_do(learnt)), unexplained=tuple(unexplained), missing=tuple(missing), look=ASK))
 
 
 def to_do(learnt: Learnt) -> list[str]:
     """What an owner does next with what was learnt."""
-    if len(learnt.said) > MANY:
-        return ["Ask what acts on the struts or the measurement: `rig diagnose REC --out found`"]
+    if len(learnt.said) > MANY or learnt.returning:
+        return [ASK]
     if learnt.said:
         return ["Look at the struts named below for missed steps or a slipped joint, at cameras and base for a knock; home, and record again"]
     return ["Go on with the next recording and the same `--state`"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.judgement import State, Verdict
+from rig.judgement import Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import heading, note, paragraph, table
@@ -41,11 +41,10 @@ def lens_page(path: Path | str, found: Calibrated, links: Sequence[Link] = ()) -
 def judged(found: Calibrated) -> Verdict:
     """The verdict on a lens."""
     why = f"a direction is projected to {found.middle:.3f} px in the middle of the frame and {found.worst:.3f} px at worst (standard uncertainty)"
-    if found.models[found.fit.terms].held is None:
-        return Verdict(State.CHECK, f"{why}; no photograph could be held out")
-    if len(found.used) < FEW:
-        return Verdict(State.CHECK, f"{why}, from {len(found.used)} photographs alone")
-    return Verdict(State.CHECK if found.worst > UNSURE else State.GOOD, why)
+    missing = [Missing("no photograph could be held out")] if found.models[found.fit.terms].held is None else []
+    missing += [Missing(f"it rests on {len(found.used)} photographs alone")] if len(found.used) < FEW else []
+    missing += [Missing(f"that is more than {UNSURE:g} px")] if found.worst > UNSURE else []
+    return judge(Evidence(why, missing=tuple(missing)))
 
 
 def to_do(found: Calibrated) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.certify.insitu import AXES, MOVES, Agreement
-from rig.judgement import State, Verdict
+from rig.judgement import Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import bars, panels
 from rig.page.parts import heading, note, table
@@ -32,12 +32,14 @@ def limbs_page(path: Path | str, name: str, found: Agreement, source: str, withd
 def judged(found: Agreement, withdrawn: str | None) -> Verdict:
     """The verdict on limbs. withdrawn : as for the page"""
     if withdrawn is not None:
-        return Verdict(State.BAD, f"the measuring limbs cannot stand for vision: {withdrawn}")
+        return judge(Evidence(f"{found.n} poses", refuted=(f"the measuring limbs cannot stand for vision: {withdrawn}",)))
     if found.passed.all():
-        return Verdict(State.GOOD, f"the measuring limbs pass on all six axes, over {found.n} poses: they may stand for vision")
+        return judge(Evidence(f"the measuring limbs pass on all six axes, over {found.n} poses: they may stand for vision"))
     failing = ", ".join(axis for i, axis in enumerate(AXES) if not found.passed[i])
-    surely = any(found.surely[i] > found.tolerance[i] for i in range(len(AXES)))
-    return Verdict(State.BAD if surely else State.CHECK, f"the measuring limbs do not pass: {failing}")
+    surely = [axis for i, axis in enumerate(AXES) if found.surely[i] > found.tolerance[i]]
+    said = f"the measuring limbs do not pass: {failing}"
+    return judge(Evidence(said, refuted=(f"{', '.join(surely)} surely beyond the tolerance",) if surely else (),
+                          missing=() if surely else (Missing("that they agree is not shown"),)))
 
 
 def _said(found: Agreement, i: int) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.pages.pictures import frame_pictures, typical, worst
 from calib.pose_figures import coverage
-from rig.judgement import State, Verdict
+from rig.judgement import AGREES, Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
 from rig.page.parts import folded, heading, listed, note, paragraph, table
@@ -76,18 +76,25 @@ def judged(told: Measured, position: np.ndarray, rotation: np.ndarray) -> Verdic
     """The verdict on a measurement. position, rotation : (f,) m and rad, standard uncertainty of each pose"""
     m, total = told.measurement, len(told.recording.exposures.times()[0])
     size = f"poses to {np.sqrt((position**2).mean()) * 1e6:.1f} µm and {np.sqrt((rotation**2).mean()) * 1e6:.1f} µrad (standard uncertainty, RMS)"
-    why = [f"{len(m.frames)} of {total} frames solved, {size}"]
-    off = told.held and abs(told.held.ratio - 1) > 2 * told.held.scatter
+    why = f"{len(m.frames)} of {total} frames solved, {size}"
+    missing, unexplained = [], []
+    if len(m.frames) < total:
+        missing.append(Missing(f"{total - len(m.frames)} frames have no pose"))
     if told.suspects:
-        why.append(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says")
-    if told.held and off and told.held.ratio > TWICE:
-        why.append(f"frames held out miss by {told.held.ratio:.1f} times the squares predicted: the uncertainties are not to be believed")
-    if not told.held:
-        why.append("no frame could be held out to check the uncertainties")
-    if len(m.frames) < SOLVED * total or (told.held and off and told.held.ratio > TWICE):
-        return Verdict(State.BAD, "; ".join(why))
-    state = State.CHECK if len(m.frames) < total or told.suspects or not told.held else State.GOOD
-    return Verdict(state, "; ".join(why))
+        missing.append(Missing(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says"))
+    if isinstance(told.held, NotHeldOut):
+        missing.append(Missing("no frame could be held out to check the uncertainties"))
+    elif abs(told.held.ratio - 1) > 2 * told.held.scatter:
+        if told.held.ratio > AGREES**2:
+            unexplained.append(f"frames held out miss by {told.held.ratio:.1f} times the squares predicted: the uncertainties are not to be believed")
+        elif told.held.ratio < 1 / AGREES**2:
+            missing.append(Missing(f"frames held out miss by {told.held.ratio:.2f} of the squares predicted: the noise of corners, and with it every "
+                                   "uncertainty, is less than stated"))
+    beyond = not isinstance(told.held, NotHeldOut) and told.held.ratio > TWICE and abs(told.held.ratio - 1) > 2 * told.held.scatter
+    refuted = [*unexplained] if beyond else []
+    if len(m.frames) < SOLVED * total:
+        refuted.append("fewer than half of the frames have a pose")
+    return judge(Evidence(why, unexplained=() if beyond else tuple(unexplained), missing=tuple(missing), refuted=tuple(refuted)))
 
 
 def to_do(told: Measured) -> list[str]:

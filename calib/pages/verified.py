@@ -91,8 +91,7 @@ def judged(v: Verified) -> Verdict:
 
 def refutes(v: Verified) -> bool:
     """Whether these poses, which nothing was fitted to, refute the calibration's claim."""
-    moved = v.found is not None and v.found.offset is not None and v.found.offset.kept
-    return v.driven is None and not v.same and v.found is not None and bool(v.found.parts) and not v.found.kept and not moved
+    return v.driven is None and not v.same and v.found is not None and v.found.refutes
 
 
 def _of_driven(v: Verified) -> Evidence:

@@ -12,7 +12,7 @@ from calib.scene import stage
 from rig import mechanisms
 from rig.effects.base import Effect
 from rig.errors import RigError
-from rig.judgement import State, Verdict
+from rig.judgement import Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.parts import heading, listed
 from rig.page.stage import Effect as Played
@@ -55,12 +55,12 @@ def viewed_page(path: Path | str, recording: Recording, effects: Sequence[Effect
 def judged(recording: Recording, frames: np.ndarray, errors: dict[str, np.ndarray]) -> Verdict:
     """The verdict on what is shown. frames : (n,) numbers; errors : of its poses, tangents (n, 6) m and rad"""
     if recording.poses is None:
-        return Verdict(State.CHECK, f"{len(frames)} poses as rig.toml and the commands have them; nothing was measured")
+        return judge(Evidence(f"{len(frames)} poses as rig.toml and the commands have them", missing=(Missing("nothing was measured"),)))
     if not errors:
-        return Verdict(State.GOOD, f"{len(frames)} poses as measured; nothing was commanded to hold them against")
+        return judge(Evidence(f"{len(frames)} poses as measured; nothing was commanded to hold them against"))
     far = np.linalg.norm(next(iter(errors.values()))[:, :3], axis=1)
     rms = float(np.sqrt(np.mean(far[np.isfinite(far)] ** 2))) if np.isfinite(far).any() else np.nan
-    return Verdict(State.GOOD, f"{len(frames)} poses as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS")
+    return judge(Evidence(f"{len(frames)} poses as measured; the model in rig.toml is off by {rms * 1e3:.3f} mm RMS"))
 
 
 def to_do(recording: Recording) -> list[str]:

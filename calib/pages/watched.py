@@ -1,13 +1,13 @@
 """The page of visits: whether a calibration still holds, since when it does not, and what may have changed."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from calib.drift.evidence import ALARM, Verdict as Evidence
-from rig.judgement import State, Verdict
+from calib.drift.evidence import ALARM, Verdict as Changes
+from rig.judgement import Evidence, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, bars, panel, panels
 from rig.page.parts import heading, note, paragraph
@@ -20,13 +20,13 @@ class Visit:
     """A visit of a name, what it says and that in lines; scale : of what measuring repeats to"""
 
     name: str
-    evidence: Evidence
+    evidence: Changes
     lines: Sequence[str]
     scale: float
 
 
-def watched_page(path: Path | str, calibration: str, visits: Sequence[Visit], links: Sequence[Link] = ()) -> None:
-    """Write the page of visits, one at least, held against a calibration of a name."""
+def watched_page(path: Path | str, calibration: str, visits: Sequence[Visit], verdict: Verdict, links: Sequence[Link] = ()) -> None:
+    """Write the page of visits, one at least, held against a calibration of a name, with its Verdict."""
     n = np.arange(1, len(visits) + 1)
     agree = np.array([np.sqrt(v.evidence.square / v.evidence.count / v.scale) for v in visits])
     later = np.array([np.exp(min(v.evidence.log_sum, 600.0)) if v.evidence.chance is None else np.nan for v in visits])
@@ -41,15 +41,24 @@ def watched_page(path: Path | str, calibration: str, visits: Sequence[Visit], li
         parts += [heading("What may have changed"), bars("odds, were there a change", [one.name for one in shown],
                                                         [("odds", [one.odds for one in shown], 3)], "")]
     parts += [heading("In words"), *(paragraph(line.strip()) for visit in visits for line in visit.lines)]
-    steps = [line.strip().removeprefix("to do: ") for line in visits[-1].lines if line.strip().startswith("to do: ")]
-    steps = steps or ["Nothing; visit again after the next warm-up, collision or service"]
-    write(path, Page("watch", f"Visits to {calibration}", judged(visits), parts, steps, links))
+    write(path, Page("watch", f"Visits to {calibration}", verdict, parts, verdict.next, links))
 
 
-def judged(visits: Sequence[Visit]) -> Verdict:
-    """The verdict of the last visit."""
-    last = visits[-1]
+def judged(visits: Sequence[Visit], known: Evidence) -> Verdict:
+    """The verdict of the last visit. known : Evidence of the calibration"""
+    last, steps = visits[-1], to_do(visits)
     if not last.evidence.alarm:
-        return Verdict(State.GOOD, f"the calibration holds at visit {len(visits)}, {last.name}")
-    named = last.evidence.named
-    return Verdict(State.BAD, f"something changed, likeliest {named.name}" if named is not None else "something changed, and it has no name")
+        return judge(replace(known, statement=f"the calibration holds at visit {len(visits)}, {last.name}", steps=tuple(steps)))
+    return judge(replace(known, statement=f"visit {len(visits)}, {last.name}", refuted=(changed(last.evidence), *known.refuted), look=steps[0]))
+
+
+def changed(found: Changes) -> str:
+    """What an alarm says, a sentence."""
+    named = found.named
+    return f"something changed, likeliest {named.name}" if named is not None else "something changed, and it has no name"
+
+
+def to_do(visits: Sequence[Visit]) -> list[str]:
+    """What an owner does next."""
+    steps = [line.strip().removeprefix("to do: ") for line in visits[-1].lines if line.strip().startswith("to do: ")]
+    return steps or ["Nothing; visit again after the next warm-up, collision or service"]

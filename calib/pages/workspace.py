@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.workspace import drawing, words
 from calib.workspace.cells import Workspace
-from rig.judgement import State, Verdict
+from rig.judgement import Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import panels
 from rig.page.parts import heading, note, paragraph, table
@@ -38,9 +38,9 @@ def workspace_page(path: Path | str, name: str, w: Workspace, unit: str, room_of
 
 def judged(w: Workspace, first: str) -> Verdict:
     """The verdict on a Workspace. first : what it comes to, in words"""
-    if np.nanmin(w.singular) < SINGULAR:
-        return Verdict(State.CHECK, f"{first}; somewhere it comes near a singularity")
-    return Verdict(State.CHECK if w.lost else State.GOOD, first)
+    missing = [Missing("somewhere it comes near a singularity")] if np.nanmin(w.singular) < SINGULAR else []
+    missing += [Missing("poses are lost")] if w.lost else []
+    return judge(Evidence(first, missing=tuple(missing)))
 
 
 def to_do(w: Workspace) -> list[str]:

@@ -20,6 +20,7 @@ from calib.confounds import Confounds, of_recordings
 from calib.pipeline import Sampled
 from calib.pose_covariance import pose_covariance
 from calib.statement.conditions import Conditions, Volume, conditions, volume
+from rig.judgement import Evidence
 from rig.errors import NotEnoughData
 from rig.notebook import shown
 from rig.recording import Recording
@@ -44,7 +45,8 @@ class Asked:
 class Certificate:
     """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise, cells : whole volume and boxes of it
     errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and calibrated, of those
-    provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings."""
+    provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
+    known : Evidence of the calibration, what these recordings say of its claim included."""
 
     machine: str
     asked: Asked
@@ -62,6 +64,7 @@ class Certificate:
     after: Figures
     provenance: dict[str, Any]
     confounds: Confounds | None = None
+    known: Evidence | None = None
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import FEWEST
 from calib.report import flat
 from calib.statement import svg, words
 from calib.statement.certificate import Certificate
-from rig.judgement import State, Verdict
+from calib.statement.judgement import judged
 from rig.page.document import Link, Page, write
 from rig.page.parts import folded, heading, note, paragraph, table
 
@@ -18,27 +17,8 @@ NOT_KNOWN = "not known"
 def certificate_page(path: Path, c: Certificate, links: Sequence[Link] = ()) -> None:
     """Write the page of a certificate: one file, offline."""
     parts = [*_promise(c), *_against(c), *_cells(c), *_floor(c), *_standards(c), *_budget(c), *_conditions(c), *_origin(c)]
-    write(path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", judged(c), parts, to_do(c), links))
-
-
-def judged(c: Certificate) -> Verdict:
-    """The verdict of a certificate: against its tolerances, where it was asked for any; what it promises, where not."""
-    promise = words.promise_line(c).removesuffix(".")
-    if not c.conformity:
-        return Verdict(State.GOOD if c.asked.scale is not None else State.CHECK,
-                       promise + ("" if c.asked.scale is not None else "; in lengths whose scale nobody certified"))
-    lines = "; ".join(line.removesuffix(".") for line in words.conformity_lines(c))
-    verdicts = {k.verdict for k in c.conformity}
-    return Verdict(State.BAD if FAILS in verdicts else State.GOOD if verdicts == {CONFORMS} else State.CHECK, lines)
-
-
-def to_do(c: Certificate) -> list[str]:
-    """What an owner does next with a certificate."""
-    certify = "Have the base targets' scale certified and say so: `--scale-uncertainty 20e-6 --scale-source TEXT`"
-    steps = [] if c.asked.scale is not None else [certify]
-    if c.repeatability.position is None:
-        steps.append("Visit some configurations twice, `--plan sobol:40,repeat:20`: then the floor, repeatability, is known")
-    return [*steps, "Look again now and then whether it still holds: `rig watch calibration.json VISIT`"]
+    verdict = judged(c)
+    write(path, Page("certify", f"Certificate of {c.machine} {c.provenance['id']}", verdict, parts, verdict.next, links))
 
 
 def _promise(c: Certificate) -> list[str]:

@@ -10,6 +10,7 @@ from calib.certify.held_out import Figures
 from calib.certify.promise import Promise
 from calib.statement import words
 from calib.statement.certificate import Certificate
+from calib.statement.judgement import judged
 from rig.json_file import nulls
 
 SCHEMA = "certificate/1"
@@ -33,7 +34,7 @@ def tree(c: Certificate) -> dict[str, Any]:
         "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
         "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
         "conformity": [asdict(k) for k in c.conformity], "budget": _budget(c.budget), "conditions": asdict(c.conditions),
-        **({} if c.confounds is None else {"confounds": c.confounds.tree()}), **c.provenance}
+        "verdict": judged(c).tree(), **({} if c.confounds is None else {"confounds": c.confounds.tree()}), **c.provenance}
     return {name: nulls(value) for name, value in out.items()}
 
 

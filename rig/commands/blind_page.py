@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.judgement import State, Verdict
+from rig.judgement import Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel
 from rig.page.parts import heading, note, paragraph, table
@@ -18,6 +18,8 @@ from synthetic import score
 if TYPE_CHECKING:
     from synthetic.score import Case, Figure, Hidden
 
+LOOK_AT = "Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"
+MORE = "Draw more cases: `rig blind --season N --out DIR` with a longer season"
 LINKS = 12  # to diagnoses that were not right
 OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknown", "nothing")
 
@@ -59,8 +61,8 @@ def campaign_page(path: Path, settings: dict, cases: list[Case]) -> None:
     parts += [heading("What was taken for what"), note("Rows: what was hidden. Columns: the name that it was given."),
               _confusion(score.confusion(cases)), heading("Answers that were not right"), _wrong(cases)]
     links = [Link(f"Case {c.index}", f"diagnoses/{c.index:04d}/diagnosis.html") for c in cases if c.failed is None and not _right(c)][:LINKS]
-    steps = ["Look at the answers below that were not right, each in its folder: `diagnoses/NNNN/diagnosis.html`"]
-    write(path, Page("blind", "Blind cases", judged(score.figures(cases)), parts, steps if links else [], links))
+    verdict = judged(score.figures(cases))
+    write(path, Page("blind", "Blind cases", verdict, parts, list(dict.fromkeys([*verdict.next, *([LOOK_AT] if links else [])])), links))
 
 
 def judged(figures: list[Figure]) -> Verdict:
@@ -68,12 +70,17 @@ def judged(figures: list[Figure]) -> Verdict:
     asked = [f for f in figures if f.goal is not None and f.trials]
     missed = [f for f in asked if f.hits < (f.goal or 0) * f.trials]
     if not asked:
-        return Verdict(State.CHECK, "no case tells of a figure that is to be reached")
-    if not missed:
-        return Verdict(State.GOOD, f"all {len(asked)} figures reach what they are to reach")
-    names = ", ".join(f"{f.name} {f.hits} of {f.trials} (to reach {f.goal:.0%})" for f in missed)
-    surely = any(f.high < (f.goal or 0) for f in missed)
-    return Verdict(State.BAD if surely else State.CHECK, f"{len(missed)} of {len(asked)} figures fall short: {names}")
+        return judge(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
+    surely = [f for f in missed if f.high < (f.goal or 0)]
+    few = [f for f in asked if f not in missed and f.low < (f.goal or 0)]
+    missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
+    missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
+    reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"
+    return judge(Evidence(reached, missing=tuple(missing), refuted=tuple(f"{_said(f)} falls short for sure" for f in surely), look=LOOK_AT))
+
+
+def _said(f: Figure) -> str:
+    return f"{f.name} {f.hits} of {f.trials} ({f.low:.0%} to {f.high:.0%}, to reach {f.goal or 0:.0%})"
 
 
 def _figure(f: Figure) -> tuple:

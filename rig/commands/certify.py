@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import refuting
 from rig.commands.output import (SEED, Progress, add_force, add_result, file_or_stdout, near, no_drawing, print_unsolved, read_recording,
                                  require_drawing)
 from rig.errors import RigError
+from rig.judgement import Evidence, exit_status
 from rig.number import number
 
 if TYPE_CHECKING:
@@ -68,6 +71,7 @@ def load(text: str) -> float:
 
 def arguments(parser: ArgumentParser) -> None:
     """Add this command's arguments to a parser."""
+    parser.epilog = "Ends with 0 where the verdict is good or check, with 3 where it is bad: a tolerance is exceeded, or the claim is NOT kept."
     parser.add_argument("calibration", metavar="CALIBRATION", type=Path)
     parser.add_argument("recordings", metavar="REC", type=Path, nargs="+", help="recordings that the calibration was not made from")
     parser.add_argument("--out", metavar="FILE", type=file_or_stdout, required=True,
@@ -89,8 +93,8 @@ def arguments(parser: ArgumentParser) -> None:
     add_result(parser)
 
 
-def run(arguments: Namespace) -> None:
-    """Certify a calibration by held-out recordings and write what is promised."""
+def run(arguments: Namespace) -> int:
+    """Certify a calibration by held-out recordings and write what is promised; 3 where the verdict is bad."""
     asked = dict(arguments.tolerance)
     if len(asked) < len(arguments.tolerance):
         raise RigError("--tolerance takes one length and one angle at the most")
@@ -116,16 +120,20 @@ def run(arguments: Namespace) -> None:
 
     from calib.statement import provenance, tree
     from calib.statement.certificate import Asked, certified
+    from calib.statement.judgement import judged
 
     wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source,
                    arguments.rated_load)
     made = certified(calibration, held, wanted, provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
                      np.random.default_rng(SEED))
+    made = replace(made, known=_against_claim(calibration, held, arguments))
+    verdict = judged(made)
     progress.close()
     left_out = no_drawing() if suffix == "" else None
     places = [whole / f"certificate{kind}" for kind in KINDS if kind != ".pdf" or not left_out] if suffix == "" else [whole]
     for place in places:
         _write(place, place.suffix, made, arguments)
+    print(verdict.line)
     _say(made)
     for _, sampled in held:
         print_unsolved(sampled.measurement)
@@ -133,6 +141,24 @@ def run(arguments: Namespace) -> None:
     if left_out:
         print(f"certificate.pdf is left out: certificates as PDF {left_out}", file=sys.stderr)
     print(f"written: {arguments.out}")
+    return exit_status(verdict)
+
+
+def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled]], arguments: Namespace) -> Evidence:
+    """Evidence of a calibration with what held-out recordings say of its claim; its file is marked where they refute it."""
+    import numpy as np
+
+    from calib.certify import verdict as words
+    from calib.certify.evidence import evidence
+    from calib.certify.verification import of_samples
+
+    known = evidence(calibration, refuting.known(arguments.calibration))
+    for recording, sampled in held:
+        found = of_samples(calibration, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
+        if found is not None and found.refutes:
+            refuting.mark(arguments, arguments.calibration, recording.name, words.refuting(found))
+            known = replace(known, refuted=(f"the claim is NOT kept by {recording.name}: {words.refuting(found)}", *known.refuted))
+    return known
 
 
 def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands import own_effects, readings
+from rig.commands import own_effects, readings, refuting
 from rig.commands.output import add_force, add_result, file_or_stdout
 from rig.errors import RigError, Unreachable
 from rig.number import numbers
@@ -54,6 +54,7 @@ def run(arguments: Namespace) -> None:
     from rig import recording as recordings
 
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
+    refuting.known(arguments.calibration)
     if arguments.single_step and calibration.physics is not None and not arguments.uncorrected:
         raise RigError("--single-step is of corrections that depend on the configuration alone; this calibration knows physics besides")
     wanted = recordings.load_wanted(arguments.poses)

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig import json_file
-from rig.commands import checking, experimenting, own_effects
+from rig.commands import checking, experimenting, own_effects, refuting
 from rig.commands.output import Progress, add_force, add_recordings, add_result, near
 from rig.errors import RigError
+from rig.judgement import State
 
 if TYPE_CHECKING:
     from calib.diagnose.engine.given import Given
@@ -121,8 +122,9 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
                     own=known.own)
-    report = arm.report(found)
-    arm.save(out, found, recording)
+    refuted = _against(arm.report(found), recording, arguments)
+    report = replace(arm.report(found), refuted=refuted)
+    arm.save(out, found, recording, refuted)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.of_arms import arm_questions
@@ -140,8 +142,9 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given,
                              kinds=known.kinds), said=_said(arguments), own=known.own)
-    report = platform.report(found)
-    platform.save(out, found, recording)
+    refuted = _against(platform.report(found), recording, arguments)
+    report = replace(platform.report(found), refuted=refuted)
+    platform.save(out, found, recording, refuted)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.hypotheses import questions
@@ -150,10 +153,28 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     return report
 
 
+def _against(report: Report, recording: Recording, arguments: Namespace) -> tuple[str, ...]:
+    """What a Report refutes: each calibration beside the recording or the diagnosis that was made from it is marked, of those refuted a sentence."""
+    from calib.diagnose.report.judgement import against
+    from rig import provenance
+
+    if not report.mattering:
+        return ()
+    near_by = {path.resolve() for folder in (recording.folder.resolve().parent, arguments.out.resolve().parent) if folder.is_dir()
+               for path in folder.glob("*.json")}
+    out = []
+    for path, state, finding in against(report, provenance.marks(recording), sorted(near_by)):
+        refuting.mark(arguments, path, recording.name, finding, state)
+        out += [f"{path.name} is refuted: {finding}"] if state == State.BAD else []
+    return tuple(out)
+
+
 def _print(report: Report) -> None:
     """Say what was found, the biggest first, and what was held out."""
-    from calib.diagnose.report.words import all_clear, crowd, left_out, line, suggestion, suggestion_rows
+    from calib.diagnose.report.judgement import judged
+    from calib.diagnose.report.words import crowd, left_out, line, suggestion, suggestion_rows
 
+    print(judged(report).line)
     for finding in report.findings:
         print(line(finding) + (f" [{finding.said}]" if finding.said else ""))
         if finding.unusual:
@@ -174,9 +195,6 @@ def _print(report: Report) -> None:
         print(f"left out: {len(report.left_out) - MENTIONED} more rows that agree with no others; see left_out")
     if report.crowd is not None and report.findings:
         print(crowd(report.crowd))
-    if not report.findings:
-        text = all_clear(report)
-        print(text[0].lower() + text[1:].removesuffix("."))
     for what, fit in report.fits.items():
         scale, unit = (1e6, "um") if fit.unit == "m" else (1, fit.unit)
         before, after, floor = (value * scale for value in (fit.heldout_before, fit.heldout_after, fit.noise_floor))

@@ -6,7 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.commands import own_effects
+from rig.commands import own_effects, refuting
 from rig.commands.output import add_port, add_result
 from rig.errors import RigError
 from rig.number import number, numbers
@@ -50,6 +50,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--speed takes a share above 0 and up to 1, got {arguments.speed:g}")
     design = design_of(arguments.rig, arguments.port)
     calibration = own_effects.calibration(arguments.calibration, own_effects.plugins(arguments))
+    refuting.known(arguments.calibration)
     correction = calibration.correction
     _same(correction.nominal, hexapod_of(design.mechanism), arguments)
     wanted = pose_of(arguments.pose)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rig.provenance import Marks
     from rig.recording import Recording
 
+RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
 MANY = 6  # changes beyond which they are not believed to be steps
 
 
@@ -101,6 +102,7 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
 
     from calib.identify.geometry import parameters
     from calib.online.filter import Online
+    from calib.pages.learnt import judged
     from rig.kinds import hexapod_of
     from rig.provenance import flat, marks
 
@@ -121,13 +123,14 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
     for x, T, C, B in zip(commands, samples.T_base_platform, samples.covariance, samples.common):
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
+    moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
+    taught = _learnt(learner, updates, samples.frame, found.source, moved)
+    print(judged(taught).line)
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))
-    moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
     print(f"joints and zeros moved by {moved * 1e3:.4f} mm RMS from rig.toml")
     print_unsolved(found.measurement)
-    taught = _learnt(learner, updates, samples.frame, found.source, moved)
-    return learner, taught, _result(learner, updates, samples.frame)
+    return learner, taught, {**_result(learner, updates, samples.frame), "verdict": judged(taught).tree()}
 
 
 def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: str, moved: float) -> Learnt:
@@ -137,10 +140,20 @@ def _learnt(learner: Online, updates: list[Update], frames: np.ndarray, source: 
     from calib.pages.learnt import Learnt
 
     first = updates[0].number
-    told = [said(change, frames[max(change.onset - first, 0)]) for update in updates for change in update.changes]
+    changes = [change for update in updates for change in update.changes]
+    returning = {change.strut for change in changes if goes_back(changes, change.strut)}
+    told = [said(change, frames[max(change.onset - first, 0)], change.strut in returning) for change in changes]
     dropped = [int(frames[number - first]) for update in updates for number in update.dropped if number >= first]
     return Learnt(frames, np.array([update.innovation for update in updates]), source, told, dropped,
-                  float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved)
+                  float(np.sqrt(np.mean(np.diag(learner.covariance)))), moved,
+                  [f"strut {strut} goes back and forth: play or whatever else depends on the direction, no missed steps" for strut in sorted(
+                      strut for strut in returning if strut is not None)])
+
+
+def goes_back(changes: Sequence[Change], strut: int | None) -> bool:
+    """Whether a strut's changes take each other back, as play does and steps that were missed do not."""
+    sizes = [change.size for change in changes if change.strut == strut and isinstance(change.size, float)]
+    return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
 
 
 def fresh_of(samples: Samples, fresh: list[int], recording: Recording) -> Samples:
@@ -157,14 +170,15 @@ def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: st
     """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left out."""
     import numpy as np
 
-    count, first = sum(len(update.changes) for update in updates), updates[0].number
+    changes, first = [change for update in updates for change in update.changes], updates[0].number
+    count = len(changes)
     sigma = np.sqrt(np.mean(np.diag(learner.covariance)))
     print(f"{_counted(count)} in {learnt}; joints and zeros are known to {sigma * 1e3:.4f} mm RMS")
     if count > MANY:
         print("these are no few steps: something acts on the struts or the measurement that the geometry lacks")
     for update in updates:
         for change in update.changes:
-            print(f"frame {frames[update.number - first]}: {said(change, frames[max(change.onset - first, 0)])}")
+            print(f"frame {frames[update.number - first]}: {said(change, frames[max(change.onset - first, 0)], goes_back(changes, change.strut))}")
         for number in update.dropped:
             print(f"frame {frames[number - first]}: its pose agrees with no other and is left out")
     innovation = np.sqrt(np.mean([update.innovation @ update.innovation / 6 for update in updates if not update.held]))
@@ -216,11 +230,13 @@ def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calib
     return found
 
 
-def said(change: Change, frame: int) -> str:
-    """A Change in words; frame : number of the first frame after it."""
+def said(change: Change, frame: int, returns: bool = False) -> str:
+    """A Change in words; frame : number of the first frame after it; returns : whether others of the same strut take it back"""
     if not isinstance(change.size, float):
         position, rotation = (float((part**2).sum() ** 0.5) for part in (change.size[:3], change.size[3:]))
         return (f"from frame {frame} on the measured poses are moved against the base by {position * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad: "
                 "a camera or the base was knocked")
+    if returns:
+        return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm, and goes back: play"
     cause = "missed steps or a slipped joint" if change.kind == "strut" else "a knocked joint, the amount differs from pose to pose"
     return f"from frame {frame} on strut {change.strut} is longer by {change.size * 1e3:+.4f} +- {change.sigma * 1e3:.4f} mm: {cause}"

@@ -67,7 +67,7 @@ def run(arguments: Namespace) -> int:
     from calib.certify import verdict as words
     from calib.certify.configurations import labels, ranges
     from calib.certify.held_out import compare, errors_of
-    from calib.certify.verification import verification
+    from calib.certify.verification import of_samples
     from calib.pages.verified import Verified, judged, refutes, verified_page
     from calib.confounds import of_recordings
     from calib.pipeline import sample_recording
@@ -77,11 +77,7 @@ def run(arguments: Namespace) -> int:
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
     before, after = errors_of(calibration.correction, samples)
     held = compare(before, after, samples.total_covariance(), np.random.default_rng(SEED), label)
-    same, claim = store.seen_before(calibration, recording), calibration.claim
-    found = None
-    if claim is not None and claim.after is not None:
-        predicted = calibration.correction.predict(samples.effective)
-        found = verification(predicted, samples, label, claim, np.random.default_rng(SEED))
+    same, found = store.seen_before(calibration, recording), of_samples(calibration, samples, np.random.default_rng(SEED))
     driven = _driven(calibration, recording, sampled.samples, wanted) if wanted is not None else None
     confounds = of_recordings([recording])
     progress.close()

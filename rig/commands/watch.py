@@ -6,15 +6,17 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.commands import refuting
 from rig.commands.output import SEED, Progress, add_force, add_json, add_page, near, place_of_page, print_json
 from rig.errors import RigError
+from rig.judgement import exit_status
 from rig.number import whole
 
 if TYPE_CHECKING:
     from calib.drift.evidence import Verdict
     from calib.drift.history import History
 
-CHANGED = 3  # exit status where something changed
+MEASURING = ("camera", "target", "instrument")  # kinds of changes of what measures: the calibration itself stands
 POSES = 12
 
 
@@ -34,7 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Choose a visit's poses, or hold visits against a calibration and say what changed; 3 where something has."""
+    """Choose a visit's poses, or hold visits against a calibration and say what changed; 3 where the verdict is bad."""
     if arguments.plan:
         if arguments.visits or arguments.history or arguments.page or arguments.out is None:
             raise RigError("--plan takes --out FILE, and neither visits nor a --history nor a --page")
@@ -49,10 +51,11 @@ def run(arguments: Namespace) -> int:
 
 def _watch(arguments: Namespace) -> int:
     from calib import store
+    from calib.certify.evidence import evidence
     from calib.confounds import of_recordings
     from calib.drift import history_file, words
     from calib.drift.history import History, take
-    from calib.pages.watched import Visit, watched_page
+    from calib.pages.watched import Visit, changed, judged, watched_page
     from rig import recording as recordings
 
     progress = Progress()
@@ -63,29 +66,34 @@ def _watch(arguments: Namespace) -> int:
     history = history_file.load(arguments.history, own) if known else History(own)
     loaded = [recordings.load(path, arguments.skip_unreadable) for path in arguments.visits]
     told: list[dict] = []
-    seen, changed = [], False
+    shown: list[str] = []
+    seen: list[Visit] = []
     for k, recording in enumerate(loaded):
         progress("visits", k, len(loaded))
         scale = history.scale()
         history, verdict = take(history, recording, calibration)
         progress.close()
         assert history.reference is not None
-        changed = verdict.alarm
         confounds = of_recordings([recording])
         told.append(_tree(verdict, history, scale) | {"confounds": confounds and confounds.tree()})
         lines = words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)
         seen.append(Visit(history.visits[-1].name, verdict, lines, scale))
-        if not arguments.json:
-            print("\n".join([*lines, *([] if confounds is None else [f"  {confounds.line()}"])]))
+        shown += [*lines, *([] if confounds is None else [f"  {confounds.line()}"])]
+    judgement = judged(seen, evidence(calibration, refuting.known(arguments.calibration)))
     if kept is not None:
         history_file.save(kept, history)
     if page is not None:
-        watched_page(page, arguments.calibration.name, seen, near(arguments, arguments.page))
+        watched_page(page, arguments.calibration.name, seen, judgement, near(arguments, arguments.page))
+    last = seen[-1].evidence
+    if last.alarm and (last.named is None or last.named.kind not in MEASURING):
+        refuting.mark(arguments, arguments.calibration, seen[-1].name, changed(last))
+    if not arguments.json:
+        print("\n".join([judgement.line, *shown]))
     if arguments.json:
-        print_json({"schema": "verdict/1", "visits": told})
+        print_json({"schema": "verdict/1", "verdict": judgement.tree(), "visits": told})
     elif kept is not None:
         print(f"{history.number} visits in {arguments.history}")
-    return CHANGED if changed else 0
+    return exit_status(judgement)
 
 
 def _names(history: History) -> list[str]:

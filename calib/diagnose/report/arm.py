@@ -185,10 +185,11 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
                         said_of(d.given, candidate.name, candidate.place), unusual(candidate.kind, candidate.place, found))
 
 
-def save(folder: Path, d: ArmDiagnosis, recording: Recording) -> None:
+def save(folder: Path, d: ArmDiagnosis, recording: Recording, refuted: tuple[str, ...] = ()) -> None:
     """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
-    commands, frames and sensors."""
-    write(folder, report(d))
+    commands, frames and sensors.
+    refuted : as in Report"""
+    write(folder, replace(report(d), refuted=refuted))
     found = replace(recording.design, mechanism=d.arm)
     write_text(folder / "machine.json", json.dumps(machine_file.tree(found, d.effects)) + "\n")
     copy_recording(folder, recording)

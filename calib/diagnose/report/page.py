@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from calib.diagnose.report import words
-from calib.diagnose.report.schema import ASSUMED_NOISE, FindingEntry, Report
+from calib.diagnose.report.judgement import judged
+from calib.diagnose.report.schema import FindingEntry, Report
 from rig.effects import BY_NAME
-from rig.judgement import State, Verdict
 from rig.page.document import Link, Page, write
 from rig.page.figure import panels
 from rig.page.parts import folded, heading, note, paragraph, table
@@ -71,29 +71,8 @@ def diagnosis_page(path: Path, report: Report, view: View, links: Sequence[Link]
                   table(("what", "size", "why it is no finding"), [words.remark_row(r) for r in report.remarks])]
     parts += _left_out(report)
     parts += [heading("What was asked"), *_asked(report, view), heading("The measurement"), table(("what", "value"), _measurement(report, view))]
-    write(path, Page("diagnose", f"Diagnosis of {report.recording}", judged(report), parts, to_do(report), links, scripts(parts)))
-
-
-def judged(report: Report) -> Verdict:
-    """The verdict of a Report: bad where something that matters is left out of the model, check where it is slight, has no name, or where nobody
-    states the noise that it would show against."""
-    unproven = report.findings or report.noise_from == ASSUMED_NOISE or report.crowd is not None
-    state = State.BAD if report.mattering else State.CHECK if unproven else State.GOOD
-    return Verdict(state, words.verdict(report).removesuffix("."))
-
-
-def to_do(report: Report) -> list[str]:
-    """What an owner does next with a Report."""
-    actions = [f"{words.title(f)[0].upper()}{words.title(f)[1:]}: {f.action}".removesuffix(".") for f in report.mattering or report.named if f.action]
-    if report.named:
-        return [*actions, "Or let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"]
-    if report.suggestions:
-        return ["Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig diagnose --effects NAME.py`"]
-    if report.findings or report.crowd is not None:
-        return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
-    if report.noise_from == ASSUMED_NOISE:
-        return ["State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, and diagnose again"]
-    return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
+    verdict = judged(report)
+    write(path, Page("diagnose", f"Diagnosis of {report.recording}", verdict, parts, verdict.next, links, scripts(parts)))
 
 
 def _finding(finding: FindingEntry, view: View) -> list[str]:

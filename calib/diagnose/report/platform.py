@@ -1,7 +1,7 @@
 """A platform's diagnosis as a Report, and what it takes to draw the recording anew as it was found."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -173,10 +173,11 @@ def moment(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, flo
     return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
 
 
-def save(folder: Path, d: PlatformDiagnosis, recording: Recording) -> None:
+def save(folder: Path, d: PlatformDiagnosis, recording: Recording, refuted: tuple[str, ...] = ()) -> None:
     """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
-    machine.json and the recording's own rig.toml, commands, frames and sensors."""
-    write(folder, report(d))
+    machine.json and the recording's own rig.toml, commands, frames and sensors.
+    refuted : as in Report"""
+    write(folder, replace(report(d), refuted=refuted))
     k = d.selection.fit.refined.point
     if not k.axes:
         return

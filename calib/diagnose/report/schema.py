@@ -223,7 +223,8 @@ class Report:
     more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
     left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too many to be left out, or None
     noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed" where nobody states the
-    poses' noise"""
+    poses' noise
+    refuted : calibrations made from the recording that the findings refute, a sentence each"""
 
     recording: str
     start_s: float
@@ -244,6 +245,7 @@ class Report:
     noise_from: str = STATED
     left_out: tuple[LeftOut, ...] = ()
     crowd: Crowd | None = None
+    refuted: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -269,9 +271,12 @@ class Report:
 
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json."""
-        apart = ("more", "confounds", *(() if self.recordings else ("recordings",)))
+        apart = ("more", "confounds", "refuted", *(() if self.recordings else ("recordings",)))
         own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
-        return {"schema": SCHEMA, **own, "unexplained": _plain(self.unexplained), **self.more, "crowd": _plain(self.crowd),
+        from calib.diagnose.report.judgement import judged  # which stands on this
+
+        return {"schema": SCHEMA, "verdict": judged(self).tree(), **own, "unexplained": _plain(self.unexplained), **self.more,
+                "crowd": _plain(self.crowd),
                 "confounds": self.confounds and self.confounds.tree()}
 
 

@@ -1,0 +1,84 @@
+"""The verdict on a recording's model by its diagnosis; and which calibrations made from that recording a diagnosis speaks against."""
+
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from calib.diagnose.report import words
+from calib.diagnose.report.schema import ASSUMED_NOISE, FindingEntry, Report
+from rig.judgement import Evidence, Missing, State, Verdict, judge
+from rig.provenance import Marks, shared
+
+LARGEST = 50_000_000  # bytes of a file that is looked into
+TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
+
+
+def judged(report: Report) -> Verdict:
+    """The verdict of a Report: check where something that matters is left out of the model or has no name, bad where that refutes a calibration."""
+    named = [f"the model leaves out {words.title(f)}" for f in report.mattering]
+    unknown = [f"nothing in the catalogue explains what is at {f.place}" for f in report.unknown]
+    if not unknown and report.unexplained is not None:
+        unknown = [f"nothing in the catalogue explains what is at {report.unexplained.place}"]
+    if report.crowd is not None:
+        unknown.append("too many rows agree with no others for any to be left out")
+    assumed = report.noise_from == ASSUMED_NOISE
+    missing = (Missing("nobody states the noise of the poses, against which anything left out would show"),) if assumed else ()
+    steps = to_do(report)
+    said = words.verdict(report).removesuffix(".")
+    return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=tuple(dict.fromkeys([*named, *unknown])),
+                          missing=missing, refuted=report.refuted, look=TAKE_IN if named else steps[0]))
+
+
+def to_do(report: Report) -> list[str]:
+    """What an owner does next with a Report."""
+    actions = [f"{words.title(f)[0].upper()}{words.title(f)[1:]}: {f.action}".removesuffix(".") for f in report.mattering or report.named if f.action]
+    if report.named:
+        return [*actions, TAKE_IN]
+    if report.suggestions:
+        return ["Have the formula for it asked for, and edit it: `rig effects --new NAME --from DIR`, then `rig diagnose --effects NAME.py`"]
+    if report.findings or report.crowd is not None:
+        return ["Look at what it goes with below, and record what may cause it: temperature, load, time"]
+    if report.noise_from == ASSUMED_NOISE:
+        return ["State the noise of the poses, position_sigma and rotation_sigma in [instrument] of rig.toml, and diagnose again"]
+    return ["Nothing: calibrate from this recording, `rig calibrate REC --out calibration.json`"]
+
+
+def against(report: Report, of: Marks, paths: Iterable[Path]) -> list[tuple[Path, State, str]]:
+    """[(calibration's file, BAD where it is refuted or CHECK, what was found)] of files made from this recording that know nothing of a finding.
+
+    of : marks of the recording; paths : files that may be calibrations, all else is passed over
+    """
+    out = []
+    for path in paths:
+        tree = _calibration(path)
+        if tree is None or not shared(of, set(tree["provenance"].get("data", ()))):
+            continue
+        known = {(e.get("effect"), e.get("place")) for e in (tree.get("physics") or {}).get("effects", ()) if isinstance(e, dict)}
+        left = [f for f in report.mattering if (f.effect, f.place) not in known]
+        if left:
+            state, claimed = _beyond(report, left, tree)
+            found = "; ".join(words.title(f) + words.size(f) for f in left)
+            out.append((path, state, f"it leaves out {found}" + (f", where {claimed * 1e6:.3g} um is claimed" if claimed is not None else "")))
+    return out
+
+
+def _beyond(report: Report, left: list[FindingEntry], tree: dict) -> tuple[State, float | None]:
+    """(BAD where what findings explain is larger than what is claimed, that claim m or None)."""
+    after = (tree.get("claim") or {}).get("after")
+    claimed = float(after[0][2]) if after else None
+    sizes = [math.sqrt(max(f.evidence.heldout_before**2 - f.evidence.heldout_after**2, 0.0)) for f in left
+             if f.evidence.unit == "m" and f.evidence.heldout_before is not None and f.evidence.heldout_after is not None]
+    return (State.BAD if claimed is not None and sizes and max(sizes) > claimed else State.CHECK), claimed
+
+
+def _calibration(path: Path) -> dict | None:
+    """The tree of a calibration's file, None of what is none."""
+    if path.stat().st_size > LARGEST:
+        return None
+    try:
+        tree = json.loads(path.read_bytes())
+    except ValueError:  # another file that ends in .json
+        return None
+    own = isinstance(tree, dict) and str(tree.get("schema", "")).startswith("calibration/") and isinstance(tree.get("provenance"), dict)
+    return tree if own else None
