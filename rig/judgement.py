@@ -62,7 +62,7 @@ class Evidence:
 
     held_out : held-out error over what noise and claim allow, the greater of position's and rotation's, None where nothing was held out
     unexplained, confounds : sentences; missing : Missing, ..; refuted : sentences, each saying what refuted it, when it was and by how much
-    look : the step that tells more of what is unexplained
+    look : the step that tells more of what is unexplained; named : whether the statement names what is unexplained, so that it is not repeated
     """
 
     statement: str
@@ -73,20 +73,22 @@ class Evidence:
     missing: tuple[Missing, ...] = ()
     refuted: tuple[str, ...] = ()
     look: str = LOOK
+    named: bool = False
 
 
 def judge(evidence: Evidence) -> Verdict:
     """The Verdict of evidence."""
     beyond = [f"held-out error is {evidence.held_out:.3g} times what noise and claim allow"] if _beyond(evidence, AGREES) else []
     refuted = [*evidence.refuted, *(beyond if _beyond(evidence, REFUTES) else [])]
-    doubts = [*(beyond if not _beyond(evidence, REFUTES) else []), *evidence.unexplained, *evidence.confounds, *(m.text for m in evidence.missing)]
+    shown = () if evidence.named else evidence.unexplained
+    doubts = [*(beyond if not _beyond(evidence, REFUTES) else []), *shown, *evidence.confounds, *(m.text for m in evidence.missing)]
     steps = [*([evidence.look] if refuted or beyond or evidence.unexplained else []), *([BALANCE] if evidence.confounds else []),
              *(m.step for m in evidence.missing if m.step)]
     agreed = [] if evidence.held_out is None or beyond else [f"held-out error is {evidence.held_out:.2f} times what noise and claim allow"]
-    rests_on = tuple(dict.fromkeys([*refuted, *doubts, *agreed]))
+    rests_on = tuple(dict.fromkeys([*refuted, *evidence.unexplained, *doubts, *agreed]))
     if refuted:
         return Verdict(State.BAD, _sentence([*refuted, evidence.statement], len(doubts)), tuple(dict.fromkeys(steps)), rests_on)
-    if doubts:
+    if doubts or evidence.unexplained:
         return Verdict(State.CHECK, _sentence([evidence.statement, *doubts[:MOST_REASONS]], len(doubts[MOST_REASONS:])),
                        tuple(dict.fromkeys([*steps, *evidence.steps])), rests_on)
     return Verdict(State.GOOD, evidence.statement, evidence.steps, rests_on)

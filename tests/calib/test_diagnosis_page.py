@@ -57,7 +57,7 @@ def test_the_page_says_what_was_found(diagnosed, tmp_path):
     assert BY_NAME["backlash"].action_at("strut 3") in text and "How sure" in text and "What remains" in text and "noise of a corner" in text
     assert page.count('<svg class="figure"') == 8  # the rig, three of what gives it away, what remains of struts and of cameras, two of its sketch
     assert not re.search(r'(src|href)="(?!data:)', page) and "@import" not in page and 'default-src \'none\'' in page
-    assert page.index("<strong>bad</strong>") < page.index("<h1>") < page.index("What to do next")
+    assert page.index("<strong>check</strong>") < page.index("<h1>") < page.index("What to do next")
 
 
 def test_without_a_finding_nothing_is_claimed(diagnosed, tmp_path):

