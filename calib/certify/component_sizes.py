@@ -6,6 +6,7 @@ is absent has a probability of its own, so that what nothing shows is mostly 0. 
 sampling, J. Am. Stat. Assoc. 88, 1993; Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from calib.certify.deviations import Component
 
 SOUND, ALIKE, MIXED = 0.3, 0.4, 0.3  # probabilities, before the poses, of the three kinds
+CLEARLY = 3.0  # of logarithms of probabilities
 SHARED = 0.7  # probability of a strut to have the component of its machine
 CHAINS, STEPS, BURN, EVERY = 8, 130, 50, 5  # sweeps over all components
 LEAST, MOST = 0.3, 100.0  # sizes that a present component may have, in standard deviations of a closure's noise
@@ -33,8 +35,11 @@ class Closures(NamedTuple):
     parts: list[Component]
 
 
-def sizes(struts: list[Closures], count: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Per strut (count, components) m, draws of the sizes of its components; the same row of all struts is one machine."""
+def sizes(struts: list[Closures], scattered: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Per strut (count, components) m, draws of the sizes of its components; the same row of all struts is one machine.
+
+    scattered : (k,) m -> (k,) by how much the log likelihood of all closures grows where all struts scatter by so much
+    """
     n, axes = len(struts[0].values), len(struts)
     some = np.arange(n) if n <= LARGEST else np.sort(rng.choice(n, LARGEST, replace=False))
     problems = [_Problem(one, some) for one in struts]
@@ -48,6 +53,11 @@ def sizes(struts: list[Closures], count: int, rng: np.random.Generator) -> list[
         chains = [problem.sampled(rng) for problem in problems]
         # the share of draws without any component, over what it was before, is p(closures | none) / p(closures)
         mixed = np.log(MIXED) - sum(np.log((~draws.any(axis=1)).mean() / problem.none) for draws, problem in zip(chains, problems))
+    first = next(iter(names))  # scatter
+    if max(mixed, *(one.max() for one in alike.values())) < np.log(SOUND) + CLEARLY:  # no strut by itself says more than that all is sound
+        together = scattered(SMALL * unit) + np.log(ALIKE * names[first] / total / len(SMALL))
+        odds[first] = np.where(together > alike[first], np.inf, odds[first])
+        alike[first] = np.maximum(alike[first], together)
     weight = np.concatenate([[np.log(SOUND), mixed], *alike.values()])
     weight = np.where(np.isposinf(weight), max(700.0, weight[np.isfinite(weight)].max()), weight)
     weight = np.exp(weight - weight.max())
@@ -60,7 +70,7 @@ def sizes(struts: list[Closures], count: int, rng: np.random.Generator) -> list[
     for k in np.flatnonzero(kind > 1):
         name, at = listed[(kind[k] - 2) // len(SMALL)], (kind[k] - 2) % len(SMALL)
         odd = odds[name][:, at]
-        for i in np.flatnonzero(rng.random(axes) < odd / (1 - SHARED + odd)):
+        for i in np.flatnonzero(rng.random(axes) < 1 / (1 + (1 - SHARED) / odd)):
             out[i][k, [part.name == name for part in struts[i].parts]] = SMALL[at] * unit
     return out
 

@@ -4,6 +4,7 @@ What the design of a recording confounds is drawn together: where play, time or 
 draw has the one and the next the other. docs/mathematics.md (21)
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +19,13 @@ from rig import mechanisms
 from rig.kinds import Struts
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
+WILD = 0.05  # share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so
 COUNT, EACH = 128, 8  # draws of sizes, and machines drawn for each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sizes:
-    """inliers : (n,) bool, the samples that say it; components : per strut its Components; draws : per strut (COUNT, its components) m, of their
+    """inliers : (n,) bool, the samples that are counted; components : per strut its Components; draws : per strut (COUNT, its components) m, of their
     sizes; the same row of all struts is one machine."""
 
     inliers: np.ndarray
@@ -40,7 +42,8 @@ def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarr
 
     found : Identified, of a geometry alone; known : Tolerance; samples : Samples, each visit one; label : (n,) configurations
     """
-    samples, label = samples.take(found.inliers), np.unique(label[found.inliers], return_inverse=True)[1]
+    counted = found.inliers if (~found.inliers).mean() <= WILD else np.ones(len(samples), bool)
+    samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
     model, struts = _Closures(found, samples), []
     parts, y = components(samples, label, nominal.strut_range), model.about(nominal)
     for i, own in enumerate(parts):
@@ -48,7 +51,24 @@ def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarr
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
         unit, left = np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1))), np.sqrt(np.mean(model.left[:, i] ** 2))
         struts.append(Closures(y[:, i], V, float(unit), float(left), own))
-    return Sizes(found.inliers, parts, sizes(struts, COUNT, rng))
+    return Sizes(counted, parts, sizes(struts, _scattered(found, model, counted), COUNT, rng))
+
+
+def _scattered(found: Identified, model: "_Closures", counted: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """(k,) sizes, m -> (k,) by how much the log likelihood of all struts' closures together grows where each scatters by so much.
+
+    What all poses together exclude, no strut by itself may: the poses' errors are shared by the struts.
+    """
+    S, left = found.residual_covariance[counted], found.residuals[counted]
+    free = 1 - (len(found.prior) - (np.diag(found.covariance) / found.prior**2).sum()) / left.size
+    free = max(float(free), 0.1)
+
+    def likelihood(size: np.ndarray) -> np.ndarray:
+        V = S + size[:, None, None, None] ** 2 * np.eye(S.shape[1])
+        square = np.einsum("ni,kni->k", left, np.linalg.solve(V, np.broadcast_to(left[..., None], (len(size), *left.shape, 1)))[..., 0])
+        return np.asarray(-0.5 * (free * np.linalg.slogdet(V)[1].sum(axis=1) + square))
+
+    return lambda size: likelihood(size) - likelihood(np.zeros(1))
 
 
 def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, nominal: Struts, places: np.ndarray, noise: np.ndarray,
