@@ -2,6 +2,7 @@
 
 import io
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rig.cameras.source import Frame
 from rig.clock import SimulatedClock
 from rig.commands.looking import Looking, Stopping
 from rig.commands.page import Page
+from rig.commands.run_judgement import judged
 from rig.commands.terminal import Block, Lines, block
 from rig.commands.warming import drawn, warm
 from rig.journal import Departure, Ended, Exposed, Readings
@@ -200,3 +202,16 @@ def test_the_button_on_the_page_stops_the_run_and_its_event_is_whole(design):
         assert page._server.image("cam1").startswith(b"\xff\xd8")
         page._server.pressed()
     assert looking.stop() == "stopped from the page" and halts == [1]
+
+
+def test_a_pose_far_off_what_was_expected_is_no_good_run():
+    """However unsure the learner still is: 67 um at +-2.1 um is to be looked at."""
+    measured = SimpleNamespace(covariance=np.eye(6) * 2.1e-6**2)
+    view = SimpleNamespace(phase="exposed", ended=None, alarms=(), seen=SimpleNamespace(
+        sight=measured, learnt=SimpleNamespace(error=np.array([0, 0, 67e-6, 0, 0, 0]), innovation=0.17)))
+    verdict = judged(view)
+    assert verdict.state == "check" and "13 times its own uncertainty" in verdict.why
+    view.seen.learnt.error = np.array([0, 0, 2e-6, 0, 0, 0])
+    assert judged(view).state == "good"
+    view.ended = "position lost"
+    assert judged(view).state == "bad"

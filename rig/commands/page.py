@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.scene import fixed_parts, ring
 from rig.commands.looking import Looking, Seen, View
+from rig.commands.run_judgement import judged
 from rig.design import Camera, Design
 from rig.page.server import PageServer
 from rig.pose import transform_points, vector
@@ -51,8 +52,8 @@ class Page:
         struts = [{"low": low * 1e3, "high": high * 1e3, "at": at * 1e3, "goal": goal * 1e3}
                   for (low, high), at, goal in zip(view.ranges.tolist(), view.lengths.tolist(), view.goal.tolist())]
         T = view.seen.sight.T_base_platform if view.seen is not None else None
-        return {"phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step, "steps": view.steps,
-                "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": history,
+        return {"verdict": judged(view).tree(), "phase": view.phase, "frame": view.frame, "frames": view.frames, "step": view.step,
+                "steps": view.steps, "left": view.left if np.isfinite(view.left) else 0.0, "ended": view.ended, "struts": struts, "history": history,
                 "alarms": [{"kind": alarm.kind, "text": alarm.text} for alarm in view.alarms],
                 "seen": None if view.seen is None else _seen(view.seen, self._design, self._markers),
                 "rig": _rig(self._design, self._fixed, self._markers, T)}

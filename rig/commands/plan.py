@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rig.commands.output import SEED, Progress, add_force, add_page, add_result, file_or_stdout, length, near, place_of_page
 from rig.errors import RigError
+from rig.judgement import Evidence, Missing, judge
 from rig.number import number, whole
 
 if TYPE_CHECKING:
@@ -62,16 +63,20 @@ def run(arguments: Namespace) -> None:
     page = place_of_page(arguments)
     asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
     made = asked(arguments)
+    from calib.certify.evidence import separable
+
     confounds = None if arguments.separate or not len(made.values) else _confounds(made)
+    unseen = (Missing("not all that is asked becomes visible"),) if made.state != "good" else ()
+    verdict = judge(Evidence(made.why, missing=unseen, confounds=separable(confounds)))
     print("\n".join(filter(None, [*made.said, *([] if confounds is None else [confounds.line()])])))
     axes = list(made.design.mechanism.axes)
-    arguments.result = {"schema": "planned/1", "state": made.state, "why": made.why, "said": [line for line in made.said if line], "axes": axes,
+    arguments.result = {"schema": "planned/1", "verdict": verdict.tree(), "state": made.state, "why": made.why,
+                        "said": [line for line in made.said if line], "axes": axes,
                         "values": made.values.tolist(), "confounds": confounds and confounds.tree()}
     if page is not None:
         from calib.pages.planned import Planned, planned_page
-        from rig.judgement import State, Verdict
 
-        told = Planned(made.design, made.values, Verdict(State(made.state), made.why), made.said)
+        told = Planned(made.design, made.values, verdict, made.said)
         planned_page(page, str(arguments.out), told, near(arguments, arguments.page))
     kept = ", which stays as it was" if arguments.out.is_file() else ""
     written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"

@@ -92,7 +92,7 @@ def pose_lines(seen: Seen) -> list[str]:
     if seen.learnt is not None:
         error = seen.learnt.error
         lines.append(f"off what was expected by {np.linalg.norm(error[:3]) * 1e6:.1f} um, {np.linalg.norm(error[3:]) * 1e6:.1f} urad "
-                     f"({seen.learnt.innovation:.2f} of normal)")
+                     f"({seen.learnt.innovation:.2f} of what the learner expects by now)")
     return [*lines, cameras, f"{seen.delay:.2f} s after its exposure"]
 
 

@@ -22,10 +22,11 @@ function minutes(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 }
 
-// How the run stands, first of all: good, check where something was said, bad where it ended before its end.
+// How the run stands, first of all: the one judgement, made where the run is.
 function judge(run) {
-  const state = run.ended ? "bad" : run.alarms.length ? "check" : "good";
+  const { state, why } = run.verdict;
   at("state").textContent = state;
+  at("state").title = why;
   at("state").className = `badge ${state}`;
 }
 
@@ -81,7 +82,7 @@ function showPose(seen) {
   const head = element("tr", {}, ...["", "measured", "± (k=1)", "off expected"].map((text) => element("th", { textContent: text })));
   const said = [`frame ${seen.frame}, ${seen.delay.toFixed(2)} s after its exposure`];
   if (!seen.sigma) said.push("cameras not yet adjusted");
-  if (seen.innovation !== null) said.push(`${seen.innovation.toFixed(2)} of what is normal`);
+  if (seen.innovation !== null) said.push(`${seen.innovation.toFixed(2)} of what the learner expects by now`);
   at("pose").replaceChildren(element("table", {}, head, ...rows), element("p", { className: "key", textContent: said.join(", ") }));
 }
 
@@ -104,7 +105,7 @@ function showCameras(seen) {
 }
 
 function showCharts(history) {
-  const curves = [["rms", "corners' residual, px", 3], ["error", "off what was expected, µm", 1], ["innovation", "of what is normal", 2]];
+  const curves = [["rms", "corners' residual, px", 3], ["error", "off what was expected, µm", 1], ["innovation", "of what the learner expects", 2]];
   at("charts").replaceChildren(...curves.map(([key, name, digits]) => chart(history.filter((one) => one[key] !== null), key, name, digits)).filter(Boolean));
   if (!at("charts").children.length) at("charts").append(element("p", { className: "none", textContent: "no frame yet" }));
 }

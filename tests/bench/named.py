@@ -22,6 +22,7 @@ from tests.bench import (
     reach,
     scale,
     truth,
+    verify,
     watch,
     way,
 )
@@ -30,4 +31,4 @@ ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners"
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "arm_physics": arm_physics, "method": method,
          "formula": formula, "images": images, "beside": beside, "watch": watch, "investigate": investigate,
-         "scale": scale, "truth": truth}  # minutes: only where they are named
+         "scale": scale, "truth": truth, "verify": verify}  # minutes: only where they are named
