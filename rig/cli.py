@@ -3,6 +3,7 @@
 import argparse
 import errno
 import importlib
+import io
 import os
 import signal
 import sys
@@ -184,12 +185,9 @@ def _run(arguments: argparse.Namespace) -> int:
 @contextmanager
 def _reader_may_leave(name: str, outputs: Outputs) -> Iterator[None]:
     """Within it a command that writes files finishes them though the reader of its standard output is gone, which is then reported."""
-    if sys.stdout is None:
-        yield
-        return
     from rig.commands.standard_output import StandardOutput
 
-    out = StandardOutput(sys.stdout, lambda: outputs.in_use)
+    out = StandardOutput(sys.stdout or io.StringIO(), lambda: outputs.in_use)
     with redirect_stdout(cast(TextIO, out)):
         yield
         out.flush()

@@ -5,14 +5,13 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rig import arm_entries, camera_entries, cube_entries
 from rig.controller import PROTOCOLS, Controller, port_problem
-from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs,
-                        Planar2, Platform, Sensor, SensorPort, Target)
+from rig.design import (DICTIONARIES, FACES, Actuator, Arm, Camera, Chain, Design, Free, Hexapod, Marker, MeasuringLimbs, Planar2, Platform,
+                        Sensor, SensorPort, Target)
 from rig.entries import LARGEST_RIG, REQUIRED, Entries
 from rig.errors import FileError
 from rig.instrument_entries import instrument
@@ -143,9 +142,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
     axes = table.get("axes", [])
     if not isinstance(axes, list) or not all(isinstance(name, str) and name.isalnum() for name in axes) or len(set(axes)) not in (0, n):
         table.fail(f"{table.name('axes')} must list {n} different names, got {axes!r}", "axes", value=axes)
-    homing = table.get("homing", True)
-    if not isinstance(homing, bool):
-        table.fail(f"{table.name('homing')} must be true or false, not {homing!r}", "homing", value=homing)
+    homing = table.flag("homing", True)
     speed = table.each("max_speed", n, actuator.max_speed or REQUIRED, above=0, most=100, unit="m/s")
     step = table.number("max_step", None, above=0, most=LARGEST_RIG, unit="m")
     home = table.each("home", n, None, above=0, most=LARGEST_RIG, unit="m (joint centre to joint centre)")
@@ -159,7 +156,7 @@ def _controller(table: Entries, mechanism: Hexapod | Planar2 | Arm | Chain | Fre
         table.text("password", default="EMC"), table.text("enable_password", default="EMCTOO"))
 
 
-def _port(table: Entries, default: Any = REQUIRED) -> str:
+def _port(table: Entries, default: object = REQUIRED) -> str:
     port: str = table.text("port", default=default)
     if problem := port_problem(port):
         table.fail(f"{table.name('port')}: {problem}", "port", value=port)

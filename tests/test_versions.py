@@ -18,7 +18,7 @@ from calib.diagnose import taken
 from calib.drift import history_file
 from calib.experiment import record
 from calib.online import learner_file, limbs_file, state_file
-from rig import design_file, recording
+from rig import design_file, recording, refutations
 from rig.cli import main
 from rig.commands import workspace
 from rig.commands.effects import _suggested
@@ -60,10 +60,15 @@ def suggesting(path: Path) -> None:
     _suggested(path.parent, None)
 
 
+def refuted(path: Path) -> None:
+    """What was refuted in a folder whose list this is."""
+    refutations.load(path.rename(path.with_name(refutations.NAME)).parent)
+
+
 READERS = {  # schema: what reads such files
     "calibration/3": (store.load,), "limbs/1": (limbs_file.load,), "online/1": (state_file.load,), "learner/1": (learner_file.load,),
     "watch/1": (lambda path: history_file.load(path, ""),), "diagnosis/1": (held, suggesting), "next/1": (looked_at,), "made/1": (listed,),
-    "certificate/1": (lambda path: workspace._certified(path, path, None),)}
+    "refutations/1": (refuted,), "certificate/1": (lambda path: workspace._certified(path, path, None),)}
 CASES = [(schema, reader) for schema, readers in READERS.items() for reader in readers]
 
 
@@ -78,7 +83,7 @@ def test_a_newer_file_and_one_of_another_kind_are_refused_with_their_place(schem
         (folder / "file.json").write_text(json.dumps({"schema": found, "files": {}, "origin": None}, indent=1))
         with pytest.raises(FileError, match=says) as refused:
             reader(folder / "file.json")
-        assert str(folder) in str(refused.value) and (schema == "made/1" or ".json:2:12: " in str(refused.value))
+        assert str(folder) in str(refused.value) and (schema in ("made/1", "refutations/1") or ".json:2:12: " in str(refused.value))
 
 
 def test_a_newer_file_of_toml_and_a_newer_investigation_are_refused_with_their_place(tmp_path, capsys):
@@ -138,6 +143,7 @@ def test_older_calibrations_correct_as_they_did(name, schema, tmp_path):
     assert 1e-6 < np.abs(found.correction.uncorrected(home) - hexapod.inverse(home, found.correction.fitted)).max() < 5e-3
     store.save(tmp_path / "again.json", found)
     again = json.loads((tmp_path / "again.json").read_text())
+    again["claim"] = {key: again["claim"][key] for key in tree["claim"]}  # keys may be added, none changed
     assert {key: again[key] for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")} == {
         key: tree[key] for key in ("schema", "nominal", "fitted", "parameter_covariance", "remainder", "held_out", "claim")}
 

@@ -126,5 +126,5 @@ def test_places_of_a_json_text_are_those_of_its_values():
     text = '{"a": [1, {"b\\n": "x,]}"},\n  [], -2.5e3], "c": null}'
     found = Places(text)
     assert found[("a",)] == (1, 7) and found[("a", 1, "b\n")] == (1, 19) and found[("a", 2)] == (2, 3) and found[("a", 3)] == (2, 7)
-    assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 7
+    assert found[("c",)] == (2, 21) and found[()] == (None, None) and len(found) == 8
     assert doubled('{"a": {"b": 1}, "c": {"b": 1,\n "b": [1]}}') == ("b", (2, 7)) and doubled(text) is None

@@ -276,8 +276,7 @@ class Report:
         from calib.diagnose.report.judgement import judged  # which stands on this
 
         return {"schema": SCHEMA, "verdict": judged(self).tree(), **own, "unexplained": _plain(self.unexplained), **self.more,
-                "crowd": _plain(self.crowd),
-                "confounds": self.confounds and self.confounds.tree()}
+                "crowd": _plain(self.crowd), "confounds": self.confounds and self.confounds.tree()}
 
 
 def _plain(value: Any) -> Any:
