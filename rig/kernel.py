@@ -70,6 +70,8 @@ class Kernel:
                 beside = Path(inspect.getfile(self._function)).parent / "__pycache__"
                 wanted = Path(self._folder() if self._folder is not None else settings.CACHE_DIR or beside)
                 kept = trusted_folder(wanted)
+                if kept != wanted and self._folder is not None:
+                    kept = kept / wanted.name  # which tells one version of the sources from another
                 if kept != beside:
                     settings.CACHE_DIR = str(kept)
                 return cast(Callable, numba.njit(**self._options)(self._function))

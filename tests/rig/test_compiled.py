@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rig import compiled
+from rig import compiled, kernel
 from rig.commands.progress_shown import Progress, compiling
 from tests.conftest import ROOT
 
@@ -78,6 +78,21 @@ def test_a_folder_of_somebody_else_is_not_taken(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
     assert compiled.is_private(tmp_path) == (owner == 0)
     forget()
+
+
+def test_another_folder_still_tells_versions_of_the_sources_apart(locked, monkeypatch, tmp_path):
+    import numba
+
+    used = []
+    monkeypatch.setattr(numba, "njit", lambda **options: lambda function: used.append(numba.config.CACHE_DIR) or function)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    theirs = tmp_path / "theirs"
+    (theirs / "kernels-1").mkdir(parents=True)
+    (theirs / "kernels-1").chmod(0o777)
+    before = numba.config.CACHE_DIR
+    assert kernel.Kernel(forget, {}, lambda: str(theirs / "kernels-1"))() is None
+    assert kernel.Kernel(forget, {}, lambda: str(theirs / "kernels-2"))() is None
+    assert used == [str(tmp_path / "home" / ".cache" / "rig" / "kernels-1"), str(theirs / "kernels-2")] and before == numba.config.CACHE_DIR
 
 
 @pytest.mark.parametrize("open_one", ["NUMBA_CACHE_DIR", "__pycache__"])
