@@ -66,10 +66,11 @@ class Confounds:
             return "; ".join(said) + "; record the same poses in a balanced order (`rig plan` and --plan sobol:N write one)"
         if not self.rows:
             return f"confounds with place: none can be estimated from {self.n} poses"
-        worst = {cause: max((row for row in self.rows if row.cause == cause), key=lambda row: row.adjusted) for cause in
-                 dict.fromkeys(row.cause for row in self.rows)}
-        return "no confound with place beyond chance: " + ", ".join(
-            f"{cause} {row.share:.0%} ({row.chance:.0%} expected by chance, {row.axis})" for cause, row in worst.items())
+        greatest = max(self.rows, key=lambda row: row.adjusted)
+        causes = [cause for cause in (DIRECTION, TIME, LOAD) if any(row.cause == cause for row in self.rows)]
+        causes += ["temperatures"] if any(row.cause not in (DIRECTION, TIME, LOAD) for row in self.rows) else []
+        return (f"no confound with place beyond chance ({', '.join(causes)}): the greatest, {greatest.cause} on {greatest.axis}, is "
+                f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance").replace("%", " %")
 
     def tree(self) -> dict[str, Any]:
         """The tree that JSON files hold under "confounds"."""
