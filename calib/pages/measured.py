@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.pages.pictures import frame_pictures, typical, worst
 from calib.pose_figures import coverage
+from calib.samples import uncertainty
 from rig.judgement import AGREES, Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel, panels
@@ -68,14 +69,15 @@ def measurement_page(path: Path | str, told: Measured, links: Sequence[Link] = (
     if collected is not None and collected.left_out:
         rows = [row[:4] for row in collected.left_out]
         parts += [heading("Markers read but not placed"), folded(f"{len(rows)} of them", table(("frame", "camera", "marker", "reason"), rows))]
-    title = f"Measurement of {told.recording.name}"
-    write(path, Page("measure", title, judged(told, position, rotation), parts, to_do(told), links))
+    title, verdict = f"Measurement of {told.recording.name}", judged(told)
+    write(path, Page("measure", title, verdict, parts, list(dict.fromkeys([*to_do(told), *verdict.next])), links))
 
 
-def judged(told: Measured, position: np.ndarray, rotation: np.ndarray) -> Verdict:
-    """The verdict on a measurement. position, rotation : (f,) m and rad, standard uncertainty of each pose"""
+def judged(told: Measured) -> Verdict:
+    """The verdict on a measurement."""
     m, total = told.measurement, len(told.recording.exposures.times()[0])
-    size = f"poses to {np.sqrt((position**2).mean()) * 1e6:.1f} µm and {np.sqrt((rotation**2).mean()) * 1e6:.1f} µrad (standard uncertainty, RMS)"
+    position, rotation = uncertainty(m.covariance)
+    size = f"poses to {position * 1e6:.1f} µm and {rotation * 1e6:.1f} µrad (standard uncertainty, RMS)"
     why = f"{len(m.frames)} of {total} frames solved, {size}"
     missing, unexplained = [], []
     if len(m.frames) < total:

@@ -158,7 +158,7 @@ def _against(report: Report, recording: Recording, arguments: Namespace) -> tupl
     from calib.diagnose.report.judgement import against
     from rig import provenance
 
-    if not report.mattering:
+    if not report.mattering and not report.unknown:
         return ()
     near_by = {path.resolve() for folder in (recording.folder.resolve().parent, arguments.out.resolve().parent) if folder.is_dir()
                for path in folder.glob("*.json")}

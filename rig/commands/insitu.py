@@ -57,6 +57,8 @@ def run(arguments: Namespace) -> int:
     asked = None if arguments.use is None else _asked(arguments.use, channels)
     by_vision = sample_recording(recording, progress=Progress())
     accepted, closed = _held(arguments, recording, by_vision, read, asked)
+    from calib.pages.limbs import judged
+
     found = accepted.agreement
     _print(found, by_vision.source)
     _print_checks(accepted.limbs, channels, *closed)
@@ -66,14 +68,14 @@ def run(arguments: Namespace) -> int:
               "against vision cannot stand for it")
     passed = accepted.verdict == "accepted"
     print("the measuring limbs pass: their poses may stand for vision's" if passed else "the measuring limbs do not pass")
-    arguments.result = _result(accepted, channels, *closed)
+    why = None if accepted.withdrawn is None else accepted.withdrawn.reason
+    arguments.result = _result(accepted, channels, *closed) | {"verdict": judged(found, why).tree()}
     if out is not None:
         limbs_file.save(out, accepted)
         print(f"written: {arguments.out}, verdict {accepted.verdict}")
     if page is not None:
         from calib.pages.limbs import limbs_page
 
-        why = None if accepted.withdrawn is None else accepted.withdrawn.reason
         limbs_page(page, recording.name, found, by_vision.source, why, near(arguments, arguments.page))
         print(f"written: {arguments.page}")
     if state is not None and passed:

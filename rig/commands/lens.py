@@ -38,7 +38,7 @@ def run(arguments: Namespace) -> None:
         raise RigError(f"--name {arguments.name!r} is no name for a camera")
     out = arguments.outputs.folder(arguments.out) if arguments.out else None
 
-    from calib.pages.lens import lens_page
+    from calib.pages.lens import judged, lens_page
     from rig.design_file import camera_block
     from rig.files import write_text
     from vision.lenses.photographs import calibrate_photographs
@@ -57,7 +57,7 @@ def run(arguments: Namespace) -> None:
           file=sys.stderr)
     if not arguments.json:
         print(block, end="")
-    arguments.result = _result(found)
+    arguments.result = _result(found) | {"verdict": judged(found).tree()}
     if out:
         write_text(out / "camera.toml", block)
         lens_page(out / "lens.html", found, near(arguments, arguments.out / "lens.html"))

@@ -51,7 +51,7 @@ def run(arguments: Namespace) -> None:
         arguments.outputs.data = provenance.lines(marks())
 
     from calib.samples import uncertainty
-    from calib.pages.measured import Measured, measurement_page
+    from calib.pages.measured import judged, Measured, measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
     from vision.bundle.places import listed, places
@@ -76,10 +76,11 @@ def run(arguments: Namespace) -> None:
     writing.write_angles(out / "rpy.csv", poses)
     writing.write_corners(out / "corners.csv", measured.corners())
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
-    measurement_page(out / "report.html", Measured(recording, measured, held, collected, moved, determination.lines(), wrong),
-                     near(arguments, arguments.out / "report.html"))
+    told = Measured(recording, measured, held, collected, moved, determination.lines(), wrong)
+    measurement_page(out / "report.html", told, near(arguments, arguments.out / "report.html"))
+    print(judged(told).line)
     _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
-    arguments.result = _result(recording, measured, held, uncertainty(measured.covariance))
+    arguments.result = _result(recording, measured, held, uncertainty(measured.covariance)) | {"verdict": judged(told).tree()}
     print_unsolved(measured)
     _stages(out, measured, len(recording.exposures.times()[0]))
     if wrong:

@@ -57,6 +57,11 @@ def run(arguments: Namespace) -> None:
     sampled = partial(from_limbs.sampled, arguments, recording, progress)
     if arguments.learner != following.WATCHING:
         followed, arguments.result = following.follow(arguments, recording, sampled, calibration, state, progress)
+        from calib.pages.learnt import judged
+
+        verdict = judged(followed)
+        arguments.result |= {"verdict": verdict.tree()}
+        print(verdict.line)
         _state_confounds(arguments, recording)
         _show(page, arguments, recording, followed)
         return

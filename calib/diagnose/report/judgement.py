@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from calib.diagnose.report import words
-from calib.diagnose.report.schema import ASSUMED_NOISE, FindingEntry, Report
+from calib.diagnose.report.schema import ASSUMED_NOISE, UNKNOWN, FindingEntry, Report
 from rig.judgement import Evidence, Missing, State, Verdict, judge
 from rig.provenance import Marks, shared
 
@@ -54,16 +54,20 @@ def against(report: Report, of: Marks, paths: Iterable[Path]) -> list[tuple[Path
         tree = _calibration(path)
         if tree is None or not shared(of, set(tree["provenance"].get("data", ()))):
             continue
-        known = {(e.get("effect"), e.get("place")) for e in (tree.get("physics") or {}).get("effects", ()) if isinstance(e, dict)}
+        physics = tree.get("physics") or {}
+        known = {(e.get("effect"), e.get("place")) for e in physics.get("effects", ()) if isinstance(e, dict)}
+        known |= {(UNKNOWN, e.get("place")) for e in physics.get("unknown", ()) if isinstance(e, dict)}
         left = [f for f in report.mattering if (f.effect, f.place) not in known]
-        if left:
-            state, claimed = _beyond(report, left, tree)
-            found = "; ".join(words.title(f) + words.size(f) for f in left)
-            out.append((path, state, f"it leaves out {found}" + (f", where {claimed * 1e6:.3g} um is claimed" if claimed is not None else "")))
+        nameless = [f.place for f in report.unknown if (f.effect, f.place) not in known]
+        if left or nameless:
+            state, claimed = _beyond(left, tree)
+            found = [f"it leaves out {'; '.join(words.title(f) + words.size(f) for f in left)}"] if left else []
+            found += [f"nothing in the catalogue explains what is at {', '.join(nameless)}"] if nameless else []
+            out.append((path, state, "; ".join(found) + (f", where {claimed * 1e6:.3g} um is claimed" if claimed is not None else "")))
     return out
 
 
-def _beyond(report: Report, left: list[FindingEntry], tree: dict) -> tuple[State, float | None]:
+def _beyond(left: list[FindingEntry], tree: dict) -> tuple[State, float | None]:
     """(BAD where what findings explain is larger than what is claimed, that claim m or None)."""
     after = (tree.get("claim") or {}).get("after")
     claimed = float(after[0][2]) if after else None
