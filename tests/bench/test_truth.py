@@ -26,6 +26,7 @@ def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
     line = first["machines"][0]
     assert line["covered"] == (line["claim"][1] <= line["true"] <= line["claim"][2])
     assert summary(both["machines"])["all"]["n"] == 2
+    assert both["command"] == "python -m tests.bench truth --machines 2 --seed 3 --ways planar2 --effects backlash --strengths weak --plans shuffled"
     assert both["schema"] == "results/1" and " of 2, " in both["figures"][0]["reached"]
 
 

@@ -61,7 +61,7 @@ def main(argv: list[str]) -> None:
             lines.append(tried(trial, Path(folder)))
         print(_in_words(lines[-1]), flush=True)
         if given.out:
-            _write(given.out, lines, "python -m tests.bench truth " + " ".join(argv), given.seed)
+            _write(given.out, lines, "python -m tests.bench truth " + " ".join(_what(argv)), given.seed)
     for figure, reached, _ in figures_in_words(lines):
         print(f"{figure:60} {reached}")
 
@@ -71,6 +71,12 @@ def rows() -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         lines = [tried(trial, Path(folder) / trial.name) for trial in trials(20, 1, ["plain"], list(NAMES), list(STRENGTHS), list(PLANS))]
     yield from figures_in_words(lines)[:4]
+
+
+def _what(argv: list[str]) -> list[str]:
+    """The words of argv that say what is done: neither where it is written nor how long it may take."""
+    left = [word for k, word in enumerate(argv) if not {word, *argv[max(k - 1, 0) : k]} & {"--out", "--seconds"}]
+    return [word for word in left if not word.startswith(("--out=", "--seconds="))]
 
 
 def _known(text: str, known: tuple[str, ...]) -> list[str]:
