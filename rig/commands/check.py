@@ -69,7 +69,7 @@ def _say(arguments: argparse.Namespace, found: tuple[Mistake, ...], remarks: tup
         print_json({"schema": "check/1", "usable": not spoilt, "found": [asdict(one) for one in found], "remarks": list(remarks)})
         return int(spoilt)
     for one in found:
-        print(f"{'wrong' if one.spoils else 'unlikely'}: {one}")
+        print(f"{'wrong' if one.spoils else 'to look at'}: {one}")
     if not found:
         print("nothing wrong or unlikely was found")
     for text in remarks:

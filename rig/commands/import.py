@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> None:
     _say(imported)
     arguments.result = _result(imported, [str(remark) for remark in remarks], kept if arguments.recipe is None else arguments.recipe)
     for remark in remarks:
-        print(f"{'wrong' if remark.spoils else 'unlikely'}: {remark}")
+        print(f"{'wrong' if remark.spoils else 'to look at'}: {remark}")
     print(f"written: {arguments.out}" + (f"; {kept} does it again (rig import --recipe)" if arguments.recipe is None else "")
           + f"; `rig check {arguments.out}` looks at it closely")
 

@@ -13,7 +13,7 @@ from rig.design import Design
 from rig.errors import RigError
 from rig.files import write_bytes
 from rig.images import check_image
-from rig.importing import clocks, columns, frames, times, units
+from rig.importing import columns, frames, times, units
 from rig.importing.calibrations import onto
 from rig.importing.commands import Commanded, commands
 from rig.importing.dialect import read
@@ -21,6 +21,7 @@ from rig.importing.frames import Exposed
 from rig.importing.poses import Posed, poses
 from rig.importing.recipe import Recipe, ForeignTable
 from rig.importing.sensors import Logged, sensors
+from rig.mistakes.standing import standing_shift
 from rig.observed import Poses
 from rig.origin import DIGITS
 from rig.outside import read_bytes, read_text
@@ -110,6 +111,9 @@ def _timed(exposed: Exposed, commanded: Commanded | None, recipe: Recipe, like: 
     if exposed.t is not None:
         return exposed, recipe
     numbers = sorted(set(exposed.frame))
+    if exposed.images.shift:
+        raise RigError(f"--set images.shift={exposed.images.shift:g} moves times that images have none of their own: they are taken at those of the "
+                       "commands' rows; leave it out, or give a table of times (--frames FILE.csv)")
     if commanded is None or commanded.t is None:
         raise RigError("the images' names tell no times, and there is no table that does: --frames FILE.csv (frame or image, t), or times in names: "
                        "--set 'images.names={camera}_{time}'")
@@ -138,8 +142,12 @@ def _by_table(exposed: Exposed, recipe: Recipe, table: ForeignTable, like: Like)
     if "image" not in found and any(Path(cell).suffix.lower() in frames.KINDS for cell in cells.column(found["frame"])):
         found["image"] = found.pop("frame")  # a column such as Bild may number images or name their files
     unit = units.split(cells.header[found["t"]])[1]
+    of_images = recipe.images
+    if table.shift and of_images is not None and of_images.shift:
+        raise RigError(f"--set frames.shift={table.shift:g} and images.shift={of_images.shift:g} both move the times of {table.file.name}; state one")
+    shift = table.shift or (of_images.shift if of_images is not None else 0.0)
     t = times.read(cells.column(found["t"]), "frames", table.file.name, table.time_unit or (unit if unit in units.TIMES else None),
-                   table.zone, table.shift, like)
+                   table.zone or (of_images.zone if of_images is not None else None), shift, like)
     resolved = replace(cells.table, columns=columns.kept(table, cells, found), time_unit=t.unit, zone=t.zone)
     if "image" in found:
         parts = 1 if len({path.name for path in exposed.path}) == len(exposed.path) else 2  # of a path, that tell images apart
@@ -250,7 +258,7 @@ def _together(exposed: Exposed, commanded: Commanded | None) -> None:
     if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
         return
     clash = f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from {first:f} to {last:f} s"
-    standing = clocks.standing_shift(_seconds(t, first), _seconds(commanded.t, first), commanded.values)
+    standing = standing_shift(_seconds(t, first), _seconds(commanded.t, first), commanded.values)
     if standing is not None:
         raise RigError(f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} frames where the commands "
                        f"stand still, the middle of what does, +-{standing.room:.2g} s")

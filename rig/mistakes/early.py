@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Iterator
 
-from rig.mistakes import clocks, environment, folder, lengths, stated
+from rig.mistakes import clocks, environment, folder, lengths, standing, stated
 from rig.mistakes.mistake import Mistake, in_order
 from rig.outside import read_text
 from rig.recording import Recording
@@ -30,7 +30,10 @@ def _all(recording: Recording) -> Iterator[Mistake]:
     if r.sensors is not None:
         times["sensors.csv"] = r.sensors.t
         yield from environment.sensors(r.sensors, design)
-    yield from clocks.between(times)
+    apart = list(clocks.between(times))
+    yield from apart
+    if r.commands is not None and not apart:
+        yield from standing.offset(times["frames.csv"], r.commands.t, r.commands.values)
     yield from clocks.repeated(times["frames.csv"])
     yield from folder.unused(r)
     yield from folder.images(r)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rig import recording
-from rig.importing.clocks import standing_shift
+from rig.mistakes.standing import offset, standing_shift
+from rig.plan import build
 from tests.importing.test_importing import words
 from tests.mistakes.test_mistakes import said
 
@@ -85,3 +86,25 @@ def test_rows_that_a_log_has_twice_are_taken_once(good, tmp_path):
     files["commands"].write_text("\n".join([*lines[:5], f"{lines[4]}1", *lines[5:]]) + "\n")
     status, text = said(*words(good, files, None, *STATED), "--out", tmp_path / "again")
     assert status == 1 and "commands.csv:6: two rows are of one time" in text, text
+
+
+@pytest.mark.parametrize("ahead", [37.4, -37.4, 12.0])
+def test_clocks_that_differ_though_they_overlap_are_told_by_what_stands_still(ahead):
+    rng = np.random.default_rng(1)
+    t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
+    assert not list(offset(at, t, values))
+    (found,) = offset(at + ahead, t, values)
+    assert found.spoils and f"clock is {abs(ahead):.4g} s {'ahead of' if ahead > 0 else 'behind'} the commands'" in found.what
+    assert f"images.shift={-ahead:.3f}" in found.do
+
+
+def test_frames_taken_on_the_way_say_nothing_of_clocks():
+    rng = np.random.default_rng(1)
+    t, values, at = log(rng.choice([1.0, 2.0, 3.0, 4.0], 30))
+    assert not list(offset(np.sort(rng.uniform(0, t[-1], 40)), t, values))
+
+
+@pytest.mark.parametrize("parts", ["sobol:40", "ladder:2", "moving:30", "zigzag:30", "sobol:20,moving:20", "dwell:20", "warmup:20", "repeat:20"])
+def test_a_plan_as_it_was_exposed_is_accused_of_no_clock(design, parts):
+    found = build(design, parts, 3)
+    assert not list(offset(found.t, found.commands.t, found.commands.values))

@@ -1,6 +1,7 @@
 """Folders and columns by their owner's words, ISO times alone, an empty image and one that is missing: what is refused says what helps."""
 
 from datetime import UTC, datetime, timedelta
+from decimal import Decimal
 
 import cv2
 import numpy as np
@@ -42,3 +43,17 @@ def test_an_owners_own_words(good, tmp_path):
     assert list(zip(found.exposures.frame.tolist(), found.exposures.camera)) == [
         (1, "cam0"), (1, "cam1"), (2, "cam1"), (3, "cam0"), (3, "cam1"), (4, "cam0")]
     assert found.exposures.times()[1].tolist() == [0.0, 5.0, 10.0, 15.0]
+
+
+def test_a_shift_of_images_moves_the_times_that_a_table_gives_them(good, tmp_path):
+    theirs(tmp_path, design_file.load(good / "rig.toml"))
+    made = ["import", tmp_path / "Bilder Größe A", "--rig", good / "rig.toml", "--frames", tmp_path / "Bilder.csv", "--skip-unreadable",
+            "--set", "images.cameras.Kamera links=cam0", "--set", "images.cameras.Kamera rechts=cam1"]
+    assert said(*made, "--out", tmp_path / "as they are")[0] == 0
+    for setting in ("images.shift=37.4", "frames.shift=37.4"):
+        status, text = said(*made, "--set", setting, "--out", tmp_path / setting)
+        assert status == 0, text
+        stated, moved = (Decimal((tmp_path / name / "frames.csv").read_text().splitlines()[1].split(",")[1]) for name in ("as they are", setting))
+        assert moved - stated == Decimal("37.4")
+    status, text = said(*made, "--set", "images.shift=1", "--set", "frames.shift=2", "--out", tmp_path / "both")
+    assert status == 1 and "both move the times of Bilder.csv; state one" in text

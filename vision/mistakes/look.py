@@ -30,7 +30,10 @@ SEARCH = 20  # mistakes that are tried before a measurement; not seconds, of whi
 THOROUGH = 300  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
 MENDED = 0.25  # of that, which a mistake named may leave
+SAME = 0.05  # of that, which another reading of the stated lens may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
+UNSTATED = "the lens is not as stated"
+UNSURE = 3.0  # standard deviations of the poses measured, within which commands and poses may differ
 MOVING = 120  # frames whose poses are held against the commands
 Maker = Callable[[Seen], Iterator[tuple[str, str, Seen]]]
 
@@ -48,7 +51,7 @@ def look(recording: Recording, corners: Corners, thorough: bool = False) -> tupl
         return ()
     first = trial(seen)
     found, best = _seen(first, THOROUGH if thorough else SEARCH)
-    if best.measured is not None:
+    if best.measured is not None and best.misfit < GROSS:  # else its cameras and poses are no evidence of anything
         found += ([] if held else _posed(best.measured, recording.design)) + _lens(best.measured, best.seen.design)
         found += [] if held else _moved(recording, corners if not any(one.spoils for one in found) else None, best.measured, thorough)
     return in_order(found)
@@ -58,6 +61,9 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     """Mistakes that explain a misfit, and the Trial that is best. most : mistakes to try"""
     if first.misfit < FINE:
         return [], first
+    unstated = _unstated(first)
+    if unstated is not None:
+        return unstated
     sized, best = _sized(first)
     unexplained = "no usual mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
@@ -80,6 +86,35 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
                         "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
                         first.misfit > 0.8 * LOST, 0.2)], first
     return [], first
+
+
+def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
+    """What is to be said where lenses of which nothing is known explain the misfit, and the Trial with these; None where they do not.
+
+    A reading of the stated lenses is named only where it gives what adjusting found: from where it begins, chance brings adjusting to an end
+    """
+    best = first
+    for other in cameras.unstated(first.seen):
+        tried = trial(other)
+        best = min(best, tried, key=lambda one: one.misfit)
+        if tried.misfit < DONE:
+            break
+    if best.misfit > min(DONE, BETTER * first.misfit) or best.measured is None:
+        return None
+    adjusted, stated = best.measured.design.cameras, first.seen.design.cameras
+    if not cameras.plausible(adjusted, stated):
+        return None
+    tail = f"corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px"
+    read = cameras.read_otherwise(first.seen, adjusted)
+    if read is not None:
+        what, do, other = read
+        return [Mistake(f"{what}: {tail} so", do, True, LIKELY * (1 - best.misfit / first.misfit))], trial(other)
+    off = [s.name for s, a in zip(stated, adjusted) if not cameras.alike(s, a)]
+    if first.misfit < GROSS or not off:
+        return [], best
+    return [Mistake(f"rig.toml: {UNSTATED} of camera{'s' * (len(off) > 1)} {', '.join(off)}: {tail} with lenses of which nothing is known",
+                    "Calibrate the lens (`rig lens`) and state matrix and distortion; until then leave distortion out",
+                    False, 0.6)], best
 
 
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
@@ -124,8 +159,9 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     if first.misfit > GROSS:
         makers = [order.candidates, cameras.exchanges, targets.exchanged, cameras.lenses, order.of_one, *([cameras.posed] if stated else [])]
     wrong = targets.suspicious(first) if first.misfit > GROSS else []
-    ones = [lambda s: targets.exchanged(s, wrong), *(lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one)
-                                                     for name in wrong)]
+    ones = [lambda s, name=name: targets.turned_faces(s, name) for name in wrong]
+    ones += [lambda s: targets.exchanged(s, wrong), *(lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one)
+                                                      for name in wrong)]
     zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
     tried: list[tuple[str, str, Trial]] = []
     for make in [*ones, *zoomed, *([targets.edges] if first.misfit > GROSS else []), *makers]:
@@ -166,9 +202,9 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
         what = min(ways[k], key=lambda way: ways[k][way])
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
-        said = what if ways[k][what] < max(1.0, MENDED * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5 else "its pose is wrong"
-        found.append(Mistake(f"rig.toml: camera {stated[k].name}: {said}: it stands {away * 1e3:.0f} mm and {np.degrees(turned):.0f} degrees from "
-                             "where it is stated", cameras.BEFORE, False, 0.7))
+        named = ways[k][what] < max(1.0, MENDED * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5
+        found.append(Mistake(f"rig.toml: camera {stated[k].name}: {f'{what}: ' if named else ''}it stands {away * 1e3:.0f} mm and "
+                             f"{np.degrees(turned):.0f} degrees from where it is stated", cameras.BEFORE, False, 0.7))
     return found
 
 
@@ -186,7 +222,7 @@ def _lens(m: Measurement, design: Design) -> list[Mistake]:
         off = cameras.bend(stated, seen)
         ways = {(what, do): cameras.bend(other, seen) for what, do, other in cameras.terms(stated)}
         named = min(ways, key=lambda way: ways[way], default=None)
-        if off > BENT and named is not None and ways[named] < BETTER * off:
+        if off > BENT and named is not None and ways[named] < min(SAME * off, cameras.ALIKE[2]):
             found.setdefault(named, []).append(stated.name)
     return [Mistake(f"rig.toml: {what}, of camera{'s' * (len(names) > 1)} {', '.join(names)}: adjusting them to the images undoes it", do, False, 0.6)
             for (what, do), names in found.items()]
@@ -207,5 +243,6 @@ def _moved(recording: Recording, corners: Corners | None, m: Measurement, thorou
         many = of(replace(recording.design, cameras=m.design.cameras), corners, frames, t, MOVING)
         more = trial(many).measured if many is not None else None
         if more is not None:
-            few = motion.of(recording, more.frames, more.T_base_platform)
-    return list(motion.mistakes(few))
+            m, few = more, motion.of(recording, more.frames, more.T_base_platform)
+    unsure = float(np.sqrt(np.einsum("nii->ni", m.covariance)[:, :3].sum(axis=1).mean()))  # m, shared errors of cameras and lenses included
+    return [] if few.miss() < UNSURE * unsure else list(motion.mistakes(few))

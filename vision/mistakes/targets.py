@@ -172,6 +172,19 @@ def of_one(seen: Seen, name: str) -> Iterator[Candidate]:
                    put(replace(t, faces=tuple((face, max(number + by, 0)) for face, number in t.faces))))
 
 
+def turned_faces(seen: Seen, name: str) -> Iterator[Candidate]:
+    """One face of a cube glued on turned."""
+    target = next(t for t in seen.design.targets if t.name == name)
+    for face, number in target.faces:
+        mine = seen.corners.marker == number
+        if not mine.any():
+            continue
+        for quarters in (2, 1, 3):
+            yield (f"rig.toml: face {face} of cube {name} (marker {number}) is turned by {90 * quarters} degrees", "Turn the sheet on that face, or "
+                   "leave its marker out of rig.toml",
+                   seen.with_corners(corner=np.where(mine, (seen.corners.corner + quarters) % 4, seen.corners.corner)))
+
+
 def faces(seen: Seen, name: str) -> Iterator[Candidate]:
     """Two faces of one cube exchanged."""
     targets = seen.design.targets

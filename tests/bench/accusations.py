@@ -1,0 +1,88 @@
+"""What `rig check` says of set-ups with nothing wrong: cameras roughly stated, lenses missing, few frames, noise.
+
+    python -m tests.bench accusations        100 set-ups, some seconds each
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rig import design_file, layout, plan, recording
+from rig.design import Camera
+from rig.mistakes import Mistake
+from rig.mistakes.early import early
+from rig.pose import exp
+from synthetic import simulation, world
+from vision.mistakes import look
+
+SETUPS = 100
+MOVED = (0.2, np.radians(10.0))  # m, rad by which cameras may stand from where they are stated
+SIZES = ((800, 600), (1280, 1024), (1920, 1200))
+ROUGH = (": it stands ", "the lens is not as stated")  # what is true of such cameras, and spoils nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """One set-up. words : it, in words; found : what was said of it"""
+
+    words: str
+    found: tuple[Mistake, ...]
+
+    @property
+    def accused(self) -> tuple[Mistake, ...]:
+        """What was said that is not so."""
+        return tuple(one for one in self.found if one.spoils or not any(text in one.what for text in ROUGH))
+
+
+def setup(number: int, folder: Path, frames: int | None = None) -> Setup:
+    """The Setup of a number, written to a folder: rough cameras, in every second one lenses that nobody stated. frames : how many, None drawn"""
+    rng = np.random.default_rng((28, number))
+    width, height = SIZES[rng.integers(len(SIZES))]
+    count, cubes, radius = int(rng.integers(2, 6)), int(rng.integers(3, 6)), float(rng.uniform(0.15, 0.6))
+    frames = int(rng.choice([4, 6, 10, 24, 60])) if frames is None else frames
+    noise, lensless = float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))), number % 2 == 0
+    text = layout.layout(radius, cameras=count, width=width, height=height, cubes=cubes)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "rig.toml").write_text(text)
+    stated = design_file.load(folder / "rig.toml")
+    secret = world.draw(stated, rng, float(rng.uniform(0.5, 3.0)))
+    cameras = tuple(_real(camera, rng, lensless, min(1.0, radius / 0.3)) for camera in secret.true.cameras)
+    secret = replace(secret, true=replace(secret.true, cameras=cameras))
+    done = simulation.simulate(secret, plan.build(stated, f"sobol:{frames}", number), rng)
+    simulation.write(done, folder, text, rng, noise)
+    read = recording.load(folder)
+    assert read.corners is not None
+    words = (f"{number}: radius {radius:.2f} m, {count} cameras {width}x{height}, {cubes} cubes, {frames} frames, noise {noise:.2f} px"
+             + (", no lens stated" if lensless else ""))
+    return Setup(words, (*early(read), *look(read, read.corners, thorough=True)))
+
+
+def _real(camera: Camera, rng: np.random.Generator, lensless: bool, size: float) -> Camera:
+    """The camera as it is: elsewhere, by MOVED at most, and where lensless with a lens of its own."""
+    way, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    pose = camera.pose * exp(np.r_[rng.uniform(0, MOVED[0] * size) * way, rng.uniform(0, MOVED[1]) * turn])
+    if not lensless:
+        return replace(camera, pose=pose)
+    matrix = camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= rng.uniform(0.96, 1.04)
+    matrix[:2, 2] += rng.uniform(-0.02, 0.02, 2) * camera.width
+    terms = np.zeros(max(5, len(camera.distortion)))
+    terms[:5] = rng.uniform(-0.25, 0.1), rng.uniform(0.0, 0.1), *rng.uniform(-1e-3, 1e-3, 2), 0.0
+    return replace(camera, pose=pose, matrix=matrix, distortion=terms)
+
+
+def rows() -> Iterator[tuple[str, str, str]]:
+    """Set-ups with nothing wrong of which something is said that is not so."""
+    accused, rough, words = 0, 0, list[str]()
+    for number in range(SETUPS):
+        with tempfile.TemporaryDirectory() as folder:
+            found = setup(number, Path(folder))
+        accused += bool(found.accused)
+        rough += bool(found.found) and not found.accused
+        words += [f"  {found.words}: {one.what}" for one in found.accused]
+    print("\n".join(words) or "  nobody is accused")
+    yield "set-ups with nothing wrong that are accused of something", f"{accused} of {SETUPS}", "0 of 100"
+    yield "where it is said, truly, that a camera's place or lens is not as stated", f"{rough} of {SETUPS}", ""
