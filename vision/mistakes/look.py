@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import scipy
@@ -159,9 +160,8 @@ def _tried(first: Trial, most: int) -> tuple[list[tuple[str, str, Trial]], bool]
     if first.misfit > GROSS:
         makers = [order.candidates, cameras.exchanges, targets.exchanged, cameras.lenses, order.of_one, *([cameras.posed] if stated else [])]
     wrong = targets.suspicious(first) if first.misfit > GROSS else []
-    ones = [lambda s, name=name: targets.turned_faces(s, name) for name in wrong]
-    ones += [lambda s: targets.exchanged(s, wrong), *(lambda s, name=name, of=of_one: of(s, name) for of_one in (targets.faces, targets.of_one)
-                                                      for name in wrong)]
+    ones: list[Maker] = [partial(targets.turned_faces, name=name) for name in wrong]
+    ones += [partial(targets.exchanged, names=wrong), *(partial(kind, name=name) for kind in (targets.faces, targets.of_one) for name in wrong)]
     zoomed = [lambda s, found=first.measured.design.cameras: cameras.focal(s, found)] if first.measured is not None else []
     tried: list[tuple[str, str, Trial]] = []
     for make in [*ones, *zoomed, *([targets.edges] if first.misfit > GROSS else []), *makers]:
