@@ -26,12 +26,11 @@ LARGEST = 120  # samples by which sizes are found; more are thinned out for that
 
 class Closures(NamedTuple):
     """Of one strut at n samples. values : (n,) m; covariance : (n, n) m^2, of poses and parameters; unit : m, standard deviation of the noise
-    left : m RMS, what a fit leaves; parts : its Components"""
+    parts : its Components"""
 
     values: np.ndarray
     covariance: np.ndarray
     unit: float
-    left: float
     parts: list[Component]
 
 
@@ -79,7 +78,7 @@ class _Problem:
     """The closures of one strut in units of their noise, at some samples."""
 
     def __init__(self, of: Closures, some: np.ndarray) -> None:
-        self.parts, self.unit, self.start = of.parts, of.unit, np.clip(of.left / of.unit, LEAST, MOST)
+        self.parts, self.unit = of.parts, of.unit
         self.y, self.base = of.values[some] / of.unit, of.covariance[np.ix_(some, some)] / of.unit**2
         self.flat = np.stack([(part.basis[some] @ part.basis[some].T).ravel() for part in of.parts])
         self.none = float(np.prod([1 - part.likely for part in of.parts]))
@@ -105,7 +104,10 @@ class _Problem:
         """(draws, components) m of the sizes of the strut's own components: Metropolis steps, one component at a time."""
         likely, (low, high) = [part.likely for part in self.parts], np.log([LEAST, MOST])
         state = np.full((CHAINS, len(likely)), -np.inf)  # logarithms, none of what is absent
-        state[:, 0] = np.log(self.start)
+        gains = np.stack([self.alone(part.name, SMALL * self.unit) for part in self.parts])
+        best = np.argsort(-gains.max(axis=1))[: CHAINS // 2]  # every two chains begin with one that explains much by itself
+        for chain, j in enumerate([*best, *best]):
+            state[chain, j] = np.log(np.clip(SMALL[gains[j].argmax()], LEAST, MOST))
         cost, draws = self.cost(state), []
         for sweep in range(STEPS):
             for j in rng.permutation(len(likely)):

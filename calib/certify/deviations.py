@@ -49,7 +49,8 @@ class Component:
         assert self.kernel is not None and self.inputs is not None
         K = self.kernel(places, self.inputs)
         there = K @ np.linalg.pinv(self.basis).T
-        return there, np.maximum(1 - (there**2).sum(axis=1), 0.0)
+        own = np.array([self.kernel(one[None], one[None])[0, 0] for one in places])
+        return there, np.maximum(own - (there**2).sum(axis=1), 0.0)
 
 
 def scaled(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
@@ -63,11 +64,13 @@ def components(samples: Samples, label: np.ndarray, strokes: np.ndarray) -> list
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]
     whole = [_of_place(f"the configuration, over {length:g} half strokes", x, _whole(length)) for length in WHOLE]
+    whole.append(_of_place("the configuration, in proportion", x, _linear(slice(None))))
     out = []
     for i in range(x.shape[1]):
         step = np.diff(x[:, i], prepend=x[0, i]) / (spread * np.sqrt(2))
         own = [replace(_line("the last step", 0.04, step), use=_stepped(i)),
                *(_of_place(f"the strut's own length, over {length:g} half strokes", x, _own(i, length)) for length in OWN),
+               _of_place("the strut's own length, in proportion", x, _linear(slice(i, i + 1))),
                *whole, *_warmth(samples, i)]
         if samples.conditions is not None:
             direction = samples.conditions.direction[:, i]
@@ -149,6 +152,14 @@ def _whole(length: float) -> Kernel:
     def kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
         return np.asarray(np.exp(-0.5 * np.maximum(square, 0) / length**2))
+
+    return kernel
+
+
+def _linear(some: slice) -> Kernel:
+    """Linear in the places along some struts."""
+    def kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.asarray(a[:, some] @ b[:, some].T * 3 / FILL**2 / a[:, some].shape[1])
 
     return kernel
 

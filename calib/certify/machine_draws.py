@@ -49,8 +49,7 @@ def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarr
     for i, own in enumerate(parts):
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
-        unit, left = np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1))), np.sqrt(np.mean(model.left[:, i] ** 2))
-        struts.append(Closures(y[:, i], V, float(unit), float(left), own))
+        struts.append(Closures(y[:, i], V, float(np.sqrt(np.mean(model.own[:, i, i] + (C**2).sum(axis=1)))), own))
     return Sizes(counted, parts, sizes(struts, _scattered(found, model, counted), COUNT, rng))
 
 
