@@ -11,6 +11,7 @@ from rig.judgement import Evidence, Missing, State, Verdict, judge
 from rig.provenance import Marks, shared
 
 LARGEST = 50_000_000  # bytes of a file that is looked into
+ROWS = "Look at the rows that were left out, below: record those configurations once more"
 TAKE_IN = "Let the calibration take it in: `rig calibrate REC --diagnosis DIR --out calibration.json`"
 
 
@@ -23,11 +24,15 @@ def judged(report: Report) -> Verdict:
     if report.crowd is not None:
         unknown.append("too many rows agree with no others for any to be left out")
     assumed = report.noise_from == ASSUMED_NOISE
-    missing = (Missing("nobody states the noise of the poses, against which anything left out would show"),) if assumed else ()
+    missing = [Missing("nobody states the noise of the poses, against which anything left out would show")] if assumed else []
+    if report.left_out:
+        count = len(report.left_out)
+        missing.append(Missing(f"{count} rows agree with no others and were left out" if count > 1 else "1 row agrees with no others and was left out",
+                               ROWS))
     steps = to_do(report)
     said = words.verdict(report).removesuffix(".")
     return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=tuple(dict.fromkeys([*named, *unknown])),
-                          missing=missing, refuted=report.refuted, look=TAKE_IN if named else steps[0], named=True))
+                          missing=tuple(missing), refuted=report.refuted, look=TAKE_IN if named else steps[0], named=True))
 
 
 def to_do(report: Report) -> list[str]:
