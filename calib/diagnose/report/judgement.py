@@ -27,8 +27,8 @@ def judged(report: Report) -> Verdict:
     missing = [Missing("nobody states the noise of the poses, against which anything left out would show")] if assumed else []
     if report.left_out:
         count = len(report.left_out)
-        missing.append(Missing(f"{count} rows agree with no others and were left out" if count > 1 else "1 row agrees with no others and was left out",
-                               ROWS))
+        agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
+        missing.append(Missing(f"{agreeing} left out", ROWS))
     steps = to_do(report)
     said = words.verdict(report).removesuffix(".")
     return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=tuple(dict.fromkeys([*named, *unknown])),
