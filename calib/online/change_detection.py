@@ -1,22 +1,39 @@
 """What changed, by likelihood ratio, docs/mathematics.md (23): a strut's length, a strut's joint, several struts, or the measuring frame.
 
 Every hypothesis is held to the same innovations of the last poses: it must explain what is there beyond chance, and what it
-leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose decides.
+leaves must be no more than noise. The simplest that does wins; where two equally simple ones do, the next pose decides. What changed, and since
+which pose, is searched for: a ratio counts by the chance that the greatest of all that were looked at is as great (Bonferroni's bound).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
-JUMP = 5.3  # standard errors of a strut's jump: one in ten million quiet ones; there are a dozen chances at every pose
-RARE = 1e-8  # of the same for what has more freedom
+STRUTS, WINDOW = 6, 3  # the poses within which a change must show, each a possible onset
+FALSE_ALARM = 2e-6  # at most, of a strut's jump at a quiet pose, over struts and onsets
+FALSE_OTHER = 1.6e-7  # of the same for what has more freedom
 LEFT = 1e-4  # share of true jumps whose poses agree no better with it
 APART = 15.0  # of misfit by which the measuring frame's motion and jumps of several struts must differ to be told apart
 DECIDES = 3  # poses from which the better of the two is taken, however little it is
 CLEARLY = 9.0  # likelihood ratio that every pose must give a knocked joint
 COUNTS = 4.0  # standard errors from which one strut of several counts as having jumped
-MOVED = {k: float(chdtri(k, RARE)) for k in range(1, 7)}
+
+
+def jump_beyond(false_alarm: float, onsets: int = WINDOW) -> float:
+    """Standard errors beyond which the greatest jump of a strut since one of `onsets` poses lies with the chance `false_alarm` at the most."""
+    return float(-ndtri(false_alarm / (2 * STRUTS * onsets)))
+
+
+def moved_beyond(false_alarm: float, onsets: int = WINDOW) -> dict[int, float]:
+    """{k: likelihood ratio} that the greatest of hypotheses with k numbers exceeds with the chance `false_alarm` at the most, over all of them: a
+    joint of each strut, all struts, and the frame, since all onsets but the last."""
+    looks = (STRUTS + 2) * (onsets - 1)
+    return {k: float(chdtri(k, false_alarm / looks)) for k in range(1, STRUTS + 1)}
+
+
+JUMP = jump_beyond(FALSE_ALARM)
+MOVED = moved_beyond(FALSE_OTHER)
 MISFIT = {k: float(chdtri(k, LEFT)) for k in range(1, 19)}
 SUSPECT = MOVED[6]  # innovation squared beyond which a pose is held until the next one
 

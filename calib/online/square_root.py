@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.identify.closed_loop import Measured, pose_of, row
-from calib.online.change_detection import JUMP, MOVED
+from calib.online.change_detection import JUMP, MOVED, WINDOW
 from rig.kernel import njit
 
-WINDOW = 3  # poses within which a change must show
 KINDS = 12  # signatures of an onset: six struts, six motions of the measuring frame against the base
 REFUSED, QUIET, ALARM = 0, 1, 2  # what `learn` says
 LEAST = MOVED[2]  # innovations squared below which no hypothesis of change_detection.py but a strut's can hold

@@ -1,0 +1,48 @@
+"""Quiet innovations are called a change as seldom as stated, over all struts and onsets that are looked at."""
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+
+from calib.online import change_detection
+from calib.online.change_detection import WINDOW, Evidence, changes, jump_beyond, moved_beyond
+
+ALARM, TRIALS = 0.02, 3000
+
+
+def quiet(rng):
+    """Evidence of the last 1 .. WINDOW poses of a machine that does not change."""
+    S = rng.normal(size=(WINDOW, 6, 12))
+    e = rng.normal(size=(WINDOW, 6))
+    out = []
+    for poses in range(1, WINDOW + 1):
+        s, r = S[-poses:], e[-poses:]
+        single = np.stack([np.einsum("fia,fi->fa", s[..., :6], r), (s[..., :6] ** 2).sum(axis=1)], axis=1)
+        out.append(Evidence(0, float((r**2).sum()), np.einsum("fia,fi->a", s, r), np.einsum("fia,fib->ab", s, s), single))
+    return out
+
+
+def jumps(evidence):
+    """Standard errors of the greatest jump of one strut since any onset."""
+    return max(np.abs(e.projected[:6] / np.sqrt(np.diag(e.gram)[:6])).max() for e in evidence)
+
+
+def test_the_search_over_struts_and_onsets_is_paid_for():
+    rng = np.random.default_rng(0)
+    greatest = np.array([jumps(quiet(rng)) for _ in range(TRIALS)])
+    rate = (greatest > jump_beyond(ALARM)).mean()
+    assert ALARM / 3 < rate < ALARM + 3 * np.sqrt(ALARM / TRIALS), "the bound is not far above what there is"
+    assert (greatest > -ndtri(ALARM / 2)).mean() > 5 * ALARM, "one look's threshold would be exceeded many times as often"
+
+
+def test_quiet_poses_are_no_change(monkeypatch):
+    monkeypatch.setattr(change_detection, "JUMP", jump_beyond(ALARM / 2))
+    monkeypatch.setattr(change_detection, "MOVED", moved_beyond(ALARM / 2))
+    rng = np.random.default_rng(1)
+    assert np.mean([bool(changes(quiet(rng))) for _ in range(TRIALS)]) < ALARM + 3 * np.sqrt(ALARM / TRIALS)
+
+
+def test_thresholds_grow_with_what_is_looked_at():
+    assert jump_beyond(1e-6, 10) > jump_beyond(1e-6, 3) > jump_beyond(1e-5, 3)
+    assert moved_beyond(1e-6, 10)[3] > moved_beyond(1e-6, 3)[3]
+    assert pytest.approx((5.31, 48.36), abs=0.01) == (change_detection.JUMP, change_detection.MOVED[6])
