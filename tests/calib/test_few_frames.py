@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from calib.diagnose.engine.candidates import Candidate
 from calib.diagnose.engine.chance import davies, dispersion
@@ -9,7 +10,7 @@ from calib.diagnose.engine.crossvalidate import folds
 from calib.diagnose.engine.linear import Block, Column, LinearModel
 from calib.diagnose.engine.policy import PLATFORM
 from calib.diagnose.engine.products import FrameProducts, solve, stepwise
-from calib.diagnose.engine.score import Score
+from calib.diagnose.engine.score import Score, sharpened
 from calib.diagnose.engine.select import _hidden
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.problems.platform.heldout import sides
@@ -43,6 +44,30 @@ def test_a_step_before_few_frames_is_as_likely_by_chance_as_it_says(after, scatt
         assert (p < level).mean() < level + 3 * np.sqrt(level / DRAWS)
     step = rng.normal(size=(FRAMES, ROWS)) + looks @ np.full(6, 3.0) * (np.arange(FRAMES) >= FRAMES - after)[:, None]
     assert chance(after, step, looks) < 1e-6
+
+
+@pytest.mark.parametrize("after, uneven", [(10, 1.0), (20, 2.0)], ids=["some frames sharper", "a few frames show nearly all"])
+def test_frames_that_see_unevenly_make_nothing_less_likely_by_chance(after, uneven):
+    """The greater of two degrees of freedom, and a dispersion as of frames alike, made one chance in a hundred of every tenth world."""
+    rng = np.random.default_rng(after)
+    p = np.array([chance(after, 3.0 * rng.normal(size=(FRAMES, ROWS)),
+                         rng.normal(size=(FRAMES, ROWS, 6)) * np.exp(uneven * rng.normal(size=(FRAMES, 1, 1)))) for _ in range(DRAWS)])
+    for level in (0.1, 0.01):
+        assert (p < level).mean() < level + 3 * np.sqrt(level / DRAWS)
+
+
+@pytest.mark.parametrize("count, frames", [(1, 10), (4, 30), (6, 60)])
+def test_a_likelihood_ratio_with_scatter_free_is_as_likely_by_chance_as_it_says(count, frames):
+    """Of numbers that mean nothing: Bartlett's factor brings the ratio down to chi-square, or below."""
+    rng = np.random.default_rng(count)
+    noise, S = 3.0 * rng.normal(size=(4000, frames)), np.linalg.qr(rng.normal(size=(frames, count)))[0]
+    whole, explained = (noise**2).sum(axis=1), ((noise @ S) ** 2).sum(axis=1)
+    ratio = frames * np.log(whole / (whole - explained))
+    base = Score(Candidate(name="x", place="y", grid=[{}]), {}, np.zeros(count), -np.inf, 1.0, count, 1.0, 1.0, np.zeros(1))
+    delta = np.array([sharpened(base, r, frames).delta_chi2 for r in ratio])
+    for level in (0.1, 0.01):
+        assert (delta > chdtri(count, level)).mean() < level + 3 * np.sqrt(level / len(delta))
+        assert count == 1 or (ratio > chdtri(count, level)).mean() > 1.1 * level, "without the factor it says too much"
 
 
 def test_what_comes_before_a_moment_is_never_held_out_whole():

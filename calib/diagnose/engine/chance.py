@@ -64,10 +64,11 @@ def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray,
     rank = half.shape[1]
     if not rank:
         return Dispersion(1.0, 1.0)
-    frames = int(pushed.any(axis=(1, 2)).sum()) - len(coefficients)
-    freedom = max(1.0, frames, _directions(half.T @ squares @ half))
-    ratio = float(((contributions @ half) ** 2).sum()) / rank * (freedom + rank) / freedom
-    return Dispersion(max(1.0, ratio), freedom)
+    expected, freedom = _expected(half.T @ squares @ half)
+    if expected < SWALLOWED * rank:  # one frame shows it all, and nothing of how frames differ
+        return Dispersion(1.0, 1.0)
+    ratio = float(((contributions @ half) ** 2).sum()) / expected
+    return Dispersion(max(1.0, ratio), max(1.0, freedom))
 
 
 def _seen(before: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -79,11 +80,12 @@ def _seen(before: np.ndarray, K: np.ndarray) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _directions(shares: np.ndarray) -> float:
-    """Degrees of freedom, by Satterthwaite, of contributions whose covariances are as stated, the candidate fitted: r (F - 1) where F frames say as
-    much of r directions each. shares : (F, r, r) that frames have in what is known of the directions"""
+def _expected(shares: np.ndarray) -> tuple[float, float]:
+    """(mean, degrees of freedom by Satterthwaite) of contributions squared whose covariances are as stated, the candidate fitted: r - r / F and
+    r (F - 1) where F frames say as much of r directions each; less of both where a few frames say most.
+    shares : (F, r, r) that frames have in what is known of the directions"""
     square = shares @ shares
     total = square.sum(axis=0)
     mean = shares.shape[1] - np.trace(total)
     variance = np.trace(total) - 2 * np.einsum("fij,fji->", square, shares) + np.einsum("ij,ji->", total, total)
-    return float(mean**2 / variance) if mean > 0 and variance > 0 else 0.0
+    return float(mean), float(mean**2 / variance) if mean > 0 and variance > 0 else 0.0
