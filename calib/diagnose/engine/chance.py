@@ -17,6 +17,7 @@ from calib.diagnose.engine.linear import LinearModel
 from calib.diagnose.engine.products import SWALLOWED, FrameProducts
 
 Z95 = 1.959964  # normal quantile of a 95 % interval
+FEW = 4.0  # degrees of freedom below which clusters show nothing of how they differ: what lies in one or two is judged frame by frame
 MANY = 2000  # degrees of freedom from which Fisher's F is chi-square
 
 
@@ -57,14 +58,17 @@ def dispersion(model: LinearModel, products: FrameProducts, weights: np.ndarray,
     own_rows = turned @ pushed
     across = turned @ along[..., 1:]
     squares = own_rows - across - np.swapaxes(across, 1, 2) + model.carried(K)  # (F, q, q) of the directions, nuisances taken out
-    if cluster > 1:
-        starts = np.arange(0, F, cluster)
-        contributions, squares = np.add.reduceat(contributions, starts, axis=0), np.add.reduceat(squares, starts, axis=0)
     half = _seen(own_rows.sum(axis=0), K)
     rank = half.shape[1]
     if not rank:
         return Dispersion(1.0, 1.0)
-    expected, freedom = _expected(half.T @ squares @ half)
+    shares = half.T @ squares @ half
+    expected, freedom = _expected(shares)
+    if cluster > 1:
+        starts = np.arange(0, F, cluster)
+        several = _expected(np.add.reduceat(shares, starts, axis=0))
+        if several[1] >= FEW:
+            (expected, freedom), contributions = several, np.add.reduceat(contributions, starts, axis=0)
     if expected < SWALLOWED * rank:  # one frame shows it all, and nothing of how frames differ
         return Dispersion(1.0, 1.0)
     ratio = float(((contributions @ half) ** 2).sum()) / expected

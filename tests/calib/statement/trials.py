@@ -28,7 +28,6 @@ POSES = 2000  # noise-free ones, from which the true 95th percentile is taken
 FITTED = 120
 SIZES = (59, 80, 120, 200)  # held out
 OWN, COMMON = np.repeat([3.2e-6, 2.4e-5], 3), np.repeat([2.4e-6, 4.2e-6], 3)  # m and rad an axis, as three cameras have it
-DECIDE = smallest(0.95, GUARD)  # configurations
 SPREAD = 0.7  # of the tolerance about what is true, as a logarithm
 
 
