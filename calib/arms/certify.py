@@ -14,6 +14,7 @@ from calib.arms.rank import PLAUSIBLE
 from calib.arms.with_physics import Together
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
+from calib.certify.held_errors import HeldErrors, held_errors
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, extension_scatter, too_few
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
@@ -25,6 +26,7 @@ from rig.pose import difference
 STRETCHES = 30  # in time; every third is held out at once, so a third of the samples, and each sample once
 PARTS = 3
 FEW = 30  # configurations below which one at a time is held out, or a tenth of them
+UNSTATED = 1.2  # times what is stated, from which a scatter is unexplained
 ROUNDS = 2  # of fitting the geometry and the profiles in turn
 UNPLACED = {"orientation": "orientations alone were measured, which tell nothing of lengths and places",
             "distance": "a wire's length alone was measured, which does not tell how the arm's base is turned"}
@@ -34,8 +36,8 @@ UNPLACED = {"orientation": "orientations alone were measured, which tell nothing
 class Certified:
     """correction : ArmCorrection of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut on whole stretches, physics refitted without them; scattered : the same on single rows drawn at random, which flatter, since
-    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone, without physics; all None where there are too few
-    configurations to hold any out"""
+    neighbours in time share their errors; geometry : on whole stretches, by the geometry alone, without physics; left : HeldErrors of held_out; all
+    None where there are too few configurations to hold any out"""
 
     correction: ArmCorrection
     found: Identified
@@ -43,6 +45,7 @@ class Certified:
     held_out: HeldOut | None
     scattered: HeldOut | None
     geometry: HeldOut | None
+    left: HeldErrors | None = None
 
 
 class _Way(NamedTuple):
@@ -84,9 +87,29 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
     (scattered,) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
     if profiled:
         correction, found = _profiled(known, correction, found)
-    covariance = samples.total_covariance()
-    held = [compare(*each, covariance, rng, label) for each in (full if profiled else plain, scattered, errors[_Way(False, False)])]
-    return Certified(correction, _as_stated(found, samples.measured), label, *held)
+    covariance, best = samples.total_covariance(), full if profiled else plain
+    held, drawn, bare = (compare(*each, covariance, rng, label) for each in (best, scattered, errors[_Way(False, False)]))
+    left = held_errors(best[1] - shared_errors(samples, found.shared), samples, label, 0.0, _by_parameters(samples, correction, found, parts))
+    return Certified(correction, _as_stated(_as_held_out(found, left), samples.measured), label, held, drawn, bare, left)
+
+
+def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
+    """(n, 6) m and rad by which what all poses share moves each. shared : (j,) draw of it, as a fit has it"""
+    return np.einsum("nik,k->ni", samples.common, shared) if len(shared) == samples.common.shape[2] else np.zeros((len(samples), 6))
+
+
+def _by_parameters(samples: Samples, correction: ArmCorrection, found: Identified, parts: np.ndarray) -> np.ndarray:
+    """(2,) m^2 and rad^2, mean square of held-out errors that comes of the parameters, which were fitted without the poses held out."""
+    J = model.parameter_jacobian(samples.commanded, correction.fitted)
+    square = np.einsum("nip,pq,niq->ni", J, found.covariance, J).mean(axis=0)
+    return square.reshape(2, 3).sum(axis=1) * len(parts) / (len(parts) - np.bincount(parts).max())
+
+
+def _as_held_out(found: Identified, left: HeldErrors) -> Identified:
+    """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a fit takes into itself."""
+    if len(found.scatter) != 6:
+        return found
+    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.own() / 3, 3))))
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
@@ -225,9 +248,9 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     seen = np.stack([each.commanded.min(axis=0), each.commanded.max(axis=0)], axis=1)
     q = low_discrepancy(seen, PLACES, FILL)
     T = correction.predict(q)
-    scatter = np.resize(found.scatter, 6) * (np.arange(6) < len(found.scatter))
-    workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T),
-                          (scatter**2).reshape(2, 3).sum(axis=1) + extension_scatter(correction, q, model.joint_jacobian(q, found.arm)), words)
+    stated = extension_scatter(correction, q, model.joint_jacobian(q, found.arm))
+    own = done.left.own_draws(DRAWS, rng) * done.left.elsewhere(float(stated[0]), DRAWS, rng) if done.left is not None else stated
+    workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T), own, words)
     observed = of_samples(each)
     free = parameters(correction.nominal, observed.kind)  # of the figures stated: axes found a little off parallel tell no more
     again = identify(replace(observed, q=observed.q - correction.rho(observed.q)), correction.fitted, free)
@@ -235,4 +258,19 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     freedom = max(whitened.size - int(again.rank.free.sum()), 1)
     draws = rng.multivariate_normal(np.zeros(len(again.covariance)), again.covariance, DRAWS, method="eigh")
     draws *= np.sqrt(dispersion(float((whitened**2).sum()), freedom, DRAWS, rng))[:, None]
-    return claimed(workspace, draws, each, told, rng)
+    return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(again.scatter, observed.covariance))
+
+
+def unexplained(scatter: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
+    """A sentence for positions, and one for rotations, that scatter beyond what their instrument states by more than a fifth of that.
+
+    scatter : (k,) m and rad beyond; covariance : (n, k, k) as stated
+    """
+    out = []
+    for part, name, unit in ((slice(0, 3), "positions", "mm"), (slice(3, 6), "rotations", "mrad")):
+        beyond = float(np.sqrt((scatter[part] ** 2).sum()))
+        stated = float(np.sqrt(np.einsum("nkk->nk", covariance)[:, part].sum(axis=1).mean())) if beyond else 0.0
+        if np.hypot(beyond, stated) > UNSTATED * stated:
+            out.append(f"{name} of the hand scatter by {beyond * 1e3:.3g} {unit} beyond the {stated * 1e3:.3g} {unit} that is stated for them, which "
+                       "nothing in this calibration explains")
+    return tuple(out)

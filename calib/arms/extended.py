@@ -18,7 +18,8 @@ from calib.arms.rank import PLAUSIBLE, Rank
 from calib.certify.certificate import Progress, silent
 from calib.certify.claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
 from calib.certify.configurations import labels, ranges, witnesses
-from calib.certify.extended import Asked, Stand, Tried, extended_on, NONE
+from calib.certify.extended import NONE, Asked, Stand, Tried, extended_on, left_squares, none_held_out
+from calib.certify.held_errors import shared_squares
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.values import Summands
 from calib.samples import Samples
@@ -109,7 +110,7 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
     done, tried = extended_on(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
     corrected = replace(correction, extension=done.correction.extension)
     held = next((one.held_out for one in tried if one.kind == NONE), None)
-    return Certified(corrected, _without(samples, corrected, found, asked.alone), label, done.held_out, None, held), tried
+    return Certified(corrected, _without(samples, corrected, found, asked.alone), label, done.held_out, None, held, done.left), tried
 
 
 def owners(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm) -> tuple[ArmCorrection, Identified]:
@@ -149,7 +150,10 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
         return too_few(told, middle)
     q = _places(correction)
     T = correction.predict(q)
-    own = extension_scatter(correction, q, model.joint_jacobian(q, correction.fitted))
+    if done.left is None:
+        return none_held_out(told, middle)
+    stated = extension_scatter(correction, q, model.joint_jacobian(q, correction.fitted))
+    own = left_squares(done.left, stated, rng) + shared_squares(samples, DRAWS, rng)
     offset = difference(model.predicted(q, correction.nominal), T)
     known = done.found.covariance
     return claimed(Workspace(model.parameter_jacobian(q, correction.fitted), offset, own, middle), np.zeros((DRAWS, len(known))), each, told, rng)

@@ -1,14 +1,15 @@
 """What an extension over the configuration space promises, from configurations it was not fitted to; of several ways the best one there."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from calib.certify.certificate import FOLDS, Certified, Progress, silent
-from calib.certify.claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
+from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, extension_scatter, too_few
 from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.held_errors import HeldErrors, held_errors, shared_squares
 from calib.certify.held_out import HeldOut, compare, error_of, pays
 from calib.correct.correction import Correction, closing
 from calib.correct.extend import corrected, extend, geometry_of, left
@@ -55,8 +56,15 @@ class Tried(NamedTuple):
     chosen: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Extended(Certified):
+    """Certified, with left : HeldErrors of the way that was taken, or None for too few configurations."""
+
+    left: HeldErrors | None = None
+
+
 def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator,
-                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
+                     progress: Progress | None = None) -> tuple[Extended, tuple[Tried, ...]]:
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
@@ -79,7 +87,7 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
 
 
 def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
-                rng: np.random.Generator, said: Progress) -> tuple[Certified, tuple[Tried, ...]]:
+                rng: np.random.Generator, said: Progress) -> tuple[Extended, tuple[Tried, ...]]:
     """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
     basis : nominal, label (n,) of the samples, the geometry
@@ -104,12 +112,17 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
     tried = [Tried(name, held.get(name), None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
-    if outcome is not None and outcome.beside:
+    if outcome is None:
+        return Extended(correct(field), found, label, None), tuple(tried)
+    left = held_errors(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
+    if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
+        scale = float(np.sqrt(left.beyond()[0] / left.stated))
         if isinstance(field, Weighted):
-            field = _scaled(field, said_of(field, outcome.samples), held[kind])
-        elif isinstance(field, RadialMap) and outcome.said[kind]:  # where noise explains all that is left, there is no error to scale
-            field = replace(field, inflation=max(1.0, float(np.sqrt(_beyond(held[kind]) / outcome.said[kind]))))
-    return Certified(correct(field), found, label, held.get(kind)), tuple(tried)
+            field, left = replace(field, misfit=field.misfit * scale), replace(left, scale=scale)
+        elif isinstance(field, RadialMap):
+            field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
+    again = held_errors(error_of(correct(field).predict(samples.effective), samples), samples, label).beyond()
+    return Extended(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
 
 
 def _without(samples: Samples, nominal: Struts, found: Identified, field: Field, alone: bool) -> Identified:
@@ -173,16 +186,6 @@ def _held_out(samples: Samples, stand: Callable[[Samples], "Stand"], fields: dic
     return _Outcome(dense, means, at, samples.take(at), np.concatenate(before), {name: np.concatenate(errors) for name, errors in after.items()})
 
 
-def _scaled(field: Weighted, said: float, held: HeldOut) -> Weighted:
-    """The field with its misfit as the poses held out have it: their errors beyond what measuring them adds, over what the field says of itself."""
-    return replace(field, misfit=field.misfit * np.sqrt(_beyond(held) / said))  # type: ignore[type-var]
-
-
-def _beyond(held: HeldOut) -> float:
-    """m^2, mean square of the positions' error at poses held out beyond what measuring them adds."""
-    return max(held.after.position[0] ** 2 - held.floor[0] ** 2, 0.0)
-
-
 def said_by_struts(field: Field, samples: Samples, nominal: Struts) -> float:
     """m^2, mean square by which a Field over the configuration space says that positions of samples may be off."""
     back = to_pose(samples.T_base_platform, nominal)
@@ -198,7 +201,7 @@ def _best(outcome: _Outcome) -> str:
     return best if pays(loss[NONE] - loss[best]) else NONE
 
 
-def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
+def promised_alone(samples: Samples, done: Extended, rng: np.random.Generator) -> Claim:
     """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
     correction: Correction = done.correction
     kinematics = mechanisms.of(correction.nominal)
@@ -209,10 +212,22 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     middle = f"the middle {FILL * 100:.0f} % of every stroke, all axes free of each other"
     if len(each) < LEAST:
         return too_few(told, middle)
-    commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), 256, FILL), correction)
+    if done.left is None:
+        return none_held_out(told, middle)
+    commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
     offset = difference(T, kinematics.forward(commands, correction.nominal))
-    own = extension_scatter(correction, commands, to_pose(T, correction.fitted))
-    workspace = Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle)
+    own = left_squares(done.left, extension_scatter(correction, commands, to_pose(T, correction.fitted)), rng) + shared_squares(samples, DRAWS, rng)
     known = done.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
-    return claimed(workspace, draws, each, told, rng)
+    return claimed(Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng)
+
+
+def left_squares(left: HeldErrors, stated: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(DRAWS, 2) m^2 and rad^2, draws of the mean square that a correction leaves all over the workspace. stated : (2,) what it says of itself"""
+    return left.draws(DRAWS, rng) * left.elsewhere(float(stated[0]), DRAWS, rng)
+
+
+def none_held_out(told: Told, workspace: str) -> Claim:
+    """The Claim of samples of which none could be held out: none, and why."""
+    return replace(too_few(told, workspace), reason="no configuration could be held out, so nothing says what is left between those recorded; record "
+                   f"{LEAST} beside the grid, as the plan `division:2,sobol:{2 * LEAST}` does")

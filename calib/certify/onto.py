@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Certified, Progress, silent
+from calib.certify.certificate import Progress, silent
 from calib.certify.configurations import labels, ranges
-from calib.certify.extended import Stand, Tried, extended_on, said_by_struts
+from calib.certify.extended import Extended, Stand, Tried, extended_on, said_by_struts
 from calib.correct.correction import Correction
 from calib.correct.extend import coordinates, extend, geometry_of, home_of, left_by, left_in_poses, with_map, with_pass
 from calib.correct.interpolate.field import Field
@@ -37,7 +37,7 @@ class Pass(NamedTuple):
 
 
 def certify_onto(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
-                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...], int]:
+                 progress: Progress | None = None) -> tuple[Extended, tuple[Tried, ...], int]:
     """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map is of what the other leaves.
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`

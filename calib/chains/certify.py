@@ -1,13 +1,15 @@
 """What a chain's calibration promises: fitted on all samples, its figures from whole stretches that were held out in turn."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.arms.certify import unexplained
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Progress, in_turn, silent
+from calib.certify.certificate import FOLDS, Progress, in_turn, silent
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
 from calib.certify.configurations import LEAST, labels, witnesses
+from calib.certify.held_errors import HeldErrors, held_errors
 from calib.certify.held_out import HeldOut, compare
 from calib.chains import model
 from calib.chains.identify import Identified, identify
@@ -22,12 +24,13 @@ from rig.pose import difference
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
     """correction : Correction of all samples, every stage's; found : Identified; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, or None for too few of them"""
+    held_out : HeldOut, whole stretches of configurations in turn, and left : HeldErrors of it, or None for too few of them"""
 
     correction: Correction
     found: Identified
     label: np.ndarray
     held_out: HeldOut | None
+    left: HeldErrors | None = None
 
 
 def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress: Progress | None = None) -> Certified:
@@ -44,7 +47,11 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
     before, after = in_turn(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
-    return Certified(correction, found, label, compare(before, after, samples.total_covariance(), rng, label))
+    J = model.parameter_jacobian(samples.commanded, found.chain)
+    known = np.einsum("nip,pq,niq->ni", J, found.covariance, J).mean(axis=0).reshape(2, 3).sum(axis=1) * FOLDS / (FOLDS - 1)
+    left = held_errors(after, samples, label, 0.0, known)
+    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.own() / 3, 3)))  # what a model lacks a fit takes into itself
+    return Certified(correction, replace(found, scatter=scatter), label, compare(before, after, samples.total_covariance(), rng, label), left)
 
 
 def _corrected(nominal: Chain, found: Identified) -> Correction:
@@ -70,7 +77,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     if len(each) < LEAST:
         return too_few(told, words)
     values, T = closing(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
-    own = (found.scatter**2).reshape(2, 3).sum(axis=1)
+    own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(DRAWS, rng)
     workspace = Workspace(model.parameter_jacobian(values, found.chain), difference(mechanism.forward(values, nominal), T), own, words)
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
-    return claimed(workspace, draws, each, told, rng)
+    return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))

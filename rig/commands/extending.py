@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from calib.certify.calibration import Calibration
     from calib.certify.certificate import Certified, Progress
     from calib.certify.claim import Claim
+    from calib.certify.extended import Extended as StrutsExtended
     from calib.certify.extended import Tried
     from calib.correct.interpolate.part import Part
     from calib.pipeline import Sampled
@@ -128,7 +129,7 @@ def say(found: Extended, on: str) -> None:
 
 
 def passed(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,
-           progress: Progress) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
+           progress: Progress) -> tuple[StrutsExtended, tuple[Tried, ...], dict[str, Any]]:
     """(Certified, what was tried, what the provenance keeps of it) of one more pass. Raises RigError for a part that cannot be."""
     from calib.certify.onto import CONFIGURATION, POSE, Pass, certify_onto
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_solve
 
+from calib.arms.certify import UNSTATED
 from calib.diagnose.engine.chance import Z95
 from calib.diagnose.engine.crossvalidate import CrossValidation
 from calib.diagnose.engine.select import Finding
@@ -26,6 +27,7 @@ from calib.diagnose.report.schema import (
     FitEntry,
     NotAskedEntry,
     Report,
+    Unexplained,
     Value,
     bounded,
     covariate_entries,
@@ -51,13 +53,19 @@ def report(d: ArmDiagnosis) -> Report:
             for h in d.held]
     again = None if d.repeats is None else {"pairs": d.repeats.pairs, "mean_m": d.repeats.mean, "rms_m": d.repeats.rms,
                                             "mean_rad": d.repeats.mean_rad, "remainder_that_repeats": d.repeats.again}
-    return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left), {"poses": fit}, fit,
+    return Report(d.recording, d.origin.shown(0.0), noise(d), (*found, *unknown(d.left)), unexplained(d.left) or scattered(d), {"poses": fit}, fit,
                   tuple(NotAskedEntry(s.effect, s.reason) for s in d.not_asked), covariates=covariate_entries(d.covariates), said=d.said,
                   recordings=recording_entries(d.parts),
                   own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds,
                   noise_from=ASSUMED_NOISE if d.arms.assumed else STATED)
+
+
+def scattered(d: ArmDiagnosis) -> Unexplained | None:
+    """What positions scatter beyond what is stated for them, by length, where that and what is stated exceed the stated UNSTATED times."""
+    beyond, stated = float(np.sqrt(3) * d.fit.scatter[0]), _by_length(d.arms.own, slice(0, 3))
+    return Unexplained("rig", beyond, "m", ()) if np.hypot(beyond, stated) > UNSTATED * stated else None
 
 
 def regions(d: ArmDiagnosis) -> list[dict[str, Any]]:
