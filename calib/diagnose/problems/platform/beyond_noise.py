@@ -4,6 +4,7 @@ import numpy as np
 
 from calib.diagnose.engine.beyond_noise import beyond_noise
 from calib.diagnose.engine.lack_of_fit import LackOfFit
+from calib.diagnose.problems.platform.lack_of_fit import within
 from calib.diagnose.problems.platform.linearised import LinearisedModel
 from calib.identify.geometry import parameters
 
@@ -11,10 +12,11 @@ MIDDLE = 5.6 / 2  # a middle square has so many times the variance of a mean squ
 
 
 def scatter_beyond_noise(model: LinearisedModel, left: list[LackOfFit]) -> list[LackOfFit]:
-    """[LackOfFit] of struts and corners that scatter beyond the noise, of places at which nothing else is left. left : what functions explain"""
+    """[LackOfFit] of struts and corners that scatter beyond the noise, of places at which nothing else is left and no admitted effect sits: what a
+    name leaves at its own place in few frames is the name's. left : what functions explain"""
     known = {u.place for u in left}
     found = [*(_struts(model) if model.point.axes else []), _corners(model)]
-    return [u for u in found if u is not None and u.place not in known]
+    return [u for u in found if u is not None and u.place not in known and not any(within(u, effect.place) for effect in model.point.effects)]
 
 
 def _struts(model: LinearisedModel) -> list[LackOfFit | None]:
