@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 
 from calib.diagnose.engine.wild import MOST, robust_fit, wild_rows
+from calib.diagnose.problems.arm.diagnose import diagnose as arm_diagnose
 from calib.diagnose.problems.platform.diagnose import diagnose
+from calib.diagnose.report.arm import report as arm_report
 from calib.diagnose.report.page import diagnosis_page, judged
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
-from rig import masking
+from rig import masking, recording
 from rig.judgement import State
+from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
+from tests.rig.arms import UR10
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
 
 HIDDEN = {"backlash:strut3:gap=6e-5": [("backlash", "strut 3")], "missed_steps:strut2:jump=8e-5,time=300": [("missed_steps", "strut 2")],
@@ -80,6 +84,21 @@ def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
     told = report(diagnose(bad, ["backlash"]))
     assert told.left_out == () and told.crowd is not None and told.crowd.count > MOST * told.crowd.of
     assert told.unexplained is not None and judged(told).state is State.CHECK
+
+
+def test_an_arms_wild_poses_are_left_out(tmp_path):
+    rng = np.random.default_rng(2)
+    true = arm_worlds.secret(UR10, rng)
+    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(true, UR10, 150, rng, deviation=lambda q: 3e-3 * q * (np.arange(6) == 3)))
+    rec = recording.load(tmp_path / "rec")
+    bad, frames = spoilt_poses(rec, rng)
+    clean = arm_report(arm_diagnose(rec, ["scale_error"]))
+    assert len(clean.left_out) <= 1
+    for mask in ["", *masks(frames, rng, 1)]:
+        found = arm_report(arm_diagnose(masking.masked(bad, mask) if mask else bad, ["scale_error"]))
+        assert [(f.effect, f.place) for f in found.findings] == [("scale_error", "joint 4")] == [(f.effect, f.place) for f in clean.findings]
+        gone = {one.frame for one in found.left_out}
+        assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
 
 
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):

@@ -59,7 +59,7 @@ def report(d: ArmDiagnosis) -> Report:
                   own_effects=effects_files(d.own), suggestions=suggestion_entries(d.suggestions),
                   more={"scatter_beyond_stated_m": float(np.sqrt(3) * d.fit.scatter[0]), "held_out": held, "held_out_by_region": regions(d),
                         "repeats": again, "set_aside": d.arms.frame[d.fit.aside].tolist()}, confounds=d.confounds,
-                  noise_from=ASSUMED_NOISE if d.arms.assumed else STATED)
+                  noise_from=ASSUMED_NOISE if d.arms.assumed else STATED, left_out=d.left_out, crowd=d.crowd)
 
 
 def scattered(d: ArmDiagnosis) -> Unexplained | None:

@@ -15,8 +15,9 @@ from calib.diagnose.engine.lack_of_fit import LackOfFit
 from calib.diagnose.engine.problem import Progress
 from calib.diagnose.engine.ranking import Covariate
 from calib.diagnose.engine.select import Finding, choose, labelled, select
+from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.problems.arm.beyond_noise import scatter_beyond_noise
-from calib.diagnose.problems.arm.candidates import JointCandidate, joint_candidates
+from calib.diagnose.problems.arm.candidates import joint_candidates
 from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
 from calib.diagnose.problems.arm.formulas import suggestions
@@ -24,6 +25,7 @@ from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
 from calib.diagnose.problems.arm.poses import Arms, Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
+from calib.diagnose.problems.arm.wild import GATE, GROSS, wild_poses
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.temperature_smoothing import smoothed
@@ -38,6 +40,7 @@ from rig.recording import Part, Recording
 from vision.foreseen import foreseen
 
 PARTS = 3
+ROUNDS = 3  # of searching anew without what turned out to be wild
 FINE, COARSE = 30, 6  # stretches of time; every third is held out at once
 
 
@@ -64,7 +67,8 @@ class ArmDiagnosis:
     asked : how many candidates were; not_asked : [NotAsked]; held : [HeldOutPoses], fine stretches first; repeats : Repeats or None
     left : [LackOfFit]; covariates : [Covariate] that what is left goes with, the one that explained most before first
     origin : of the owner's clock, which moments are told by
-    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides"""
+    given : what was said beforehand; said : the operator's words, as options; own : files of effects that were asked for besides
+    left_out : poses that were left out of all this; crowd : poses that are far off in too many to be left out, or None"""
 
     recording: str
     source: str
@@ -89,6 +93,8 @@ class ArmDiagnosis:
     own: tuple[Plugin, ...] = ()
     suggestions: tuple[Suggestion, ...] = ()
     confounds: Confounds | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    crowd: Crowd | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -118,32 +124,41 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
               coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
     """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well."""
     candidates, not_asked = joint_candidates(arms, asked)
-    problem = ArmProblem(arms, candidates, given=answerable(given, candidates, not_asked))
-    selection = select(problem, progress)
+    given = answerable(given, candidates, not_asked)
+    wild = wild_poses(arms, arms.left, np.zeros(len(arms), bool), GROSS)
+    for _ in range(ROUNDS):
+        problem = ArmProblem(arms, candidates, ~wild.rows, given=given)
+        selection = select(problem, progress)
+        both = wild.with_more(wild_poses(arms, selection.fit.left, wild.rows, GATE))
+        if both.left_out == wild.left_out:
+            break
+        wild = both
     chosen = selection.fit
-    held = nested(arms, candidates, (FINE, COARSE) if coarse else (FINE,), progress, given)
+    held = nested(problem, (FINE, COARSE) if coarse else (FINE,), progress)
     again, fitted = repeats(chosen), found.at(chosen.theta[: found.basis.shape[1]])
     numbers = [f.number for f in selection.findings]
     proofs = [problem.cross_validation(chosen, number) for number in numbers]
     regions = problem.by_regions(chosen, numbers) if numbers else []
-    before, cluster = fit(arms), problem.policy.cluster
+    before, cluster = fit(arms, (), problem.train), problem.policy.cluster
     left, goes_with = lack_of_fit(chosen, cluster), covariates(before, chosen, cluster)
     suggested = tuple(suggestions(chosen, left))
     left += scatter_beyond_noise(chosen, again, goes_with)
     return ArmDiagnosis(name, source, arms, found, fitted, before, chosen, selection.findings, proofs, selection.asked, not_asked, held,
-                        again, left, regions, goes_with, given=given, suggestions=suggested)
+                        again, left, regions, goes_with, given=given, suggestions=suggested,
+                        left_out=both.left_out, crowd=both.crowd)
 
 
-def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...], progress: Progress | None = None,
-           given: Given = UNSAID) -> list[HeldOutPoses]:
-    """HeldOutPoses over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them at a time."""
+def nested(problem: ArmProblem, counts: tuple[int, ...], progress: Progress | None = None) -> list[HeldOutPoses]:
+    """HeldOutPoses of what a problem may fit, over each number of stretches of time: effects are chosen, and all is fitted, on two thirds of them
+    at a time."""
+    arms, kept = problem.arms, np.ones(len(problem.arms), bool) if problem.train is None else problem.train
     parts = [stretches(len(arms), count) % PARTS for count in counts]
 
     def predicted(one: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-        train = parts[one[0]] != one[1]
+        part = parts[one[0]] == one[1]
         with threadpool_limits(1):
-            chosen, bare = choose(ArmProblem(arms, candidates, train, given=given)), fit(arms, (), train)
-        return bare.left[~train], chosen.left[~train], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
+            chosen, bare = choose(replace(problem, train=kept & ~part)), fit(arms, (), kept & ~part)
+        return bare.left[part], chosen.left[part], tuple(f"{t.candidate.name} {t.candidate.place}" for t in chosen.terms)
 
     things = [(i, k) for i in range(len(counts)) for k in range(PARTS)]
     found = dict(zip(things, parallel_map(predicted, things, labelled(progress, "choosing anew without stretches"), few=1)))
@@ -152,8 +167,8 @@ def nested(arms: Arms, candidates: list[JointCandidate], counts: tuple[int, ...]
         before, after, far = np.empty(arms.left.shape), np.empty(arms.left.shape), np.empty(len(arms))
         for k in range(PARTS):
             before[part == k], after[part == k], _ = found[i, k]
-            far[part == k] = _farthest(arms.q[part == k], arms.q[part != k])
-        out.append(HeldOutPoses(before, after, count, tuple(found[i, k][2] for k in range(PARTS)), far))
+            far[part == k] = _farthest(arms.q[part == k], arms.q[(part != k) & kept])
+        out.append(HeldOutPoses(before[kept], after[kept], count, tuple(found[i, k][2] for k in range(PARTS)), far[kept]))
     return out
 
 

@@ -1,0 +1,76 @@
+"""Wild poses of an arm, left out before anything is searched: far off all that geometry, moves and time may do smoothly, and off their neighbours."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arms.scatter import MIDDLE
+from calib.diagnose.engine.wild import MOST, Crowd, LeftOut, robust_fit, wild_rows
+from calib.diagnose.problems.arm.poses import Arms
+from calib.diagnose.problems.histories import cosines, speed
+
+GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
+SLOW = 4  # cosines of time that are free at each joint
+ROWS = 4  # numbers measured for each that is free
+REASON = "what was measured and the command agree with no other pose, neither those before and after it nor those at joint angles near it"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WildPoses:
+    """rows : (n,) bool, poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in too many, or None."""
+
+    rows: np.ndarray
+    left_out: tuple[LeftOut, ...] = ()
+    crowd: Crowd | None = None
+
+    def with_more(self, more: "WildPoses") -> "WildPoses":
+        """Both together; where these are too many, the first alone and the crowd that they are."""
+        rows = self.rows | more.rows
+        if rows.sum() > MOST * len(rows):
+            return WildPoses(self.rows, self.left_out, Crowd("poses", int(rows.sum()), len(rows)))
+        return WildPoses(rows, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
+
+
+def wild_poses(arms: Arms, left: np.ndarray, gone: np.ndarray, gate: float) -> WildPoses:
+    """WildPoses by residuals left (n, k), m and rad, beyond a gate, of which some (n,) bool are left out already."""
+    rows = np.flatnonzero(~gone)
+    W = np.linalg.inv(np.linalg.cholesky(arms.own[rows]))
+    columns = np.concatenate([arms.freedoms[rows], _smooth(arms)[rows]], axis=2)[..., : left[rows].size // ROWS]
+    found = robust_fit([((W @ left[rows, :, None])[..., 0], W @ columns)])
+    all_off = _relative(found.residual)
+    far = wild_rows(all_off, arms.t[rows], arms.q[rows], gate)
+    out = np.zeros(len(arms), bool)
+    if far.sum() > MOST * len(arms):
+        return WildPoses(out, crowd=Crowd("poses", int(far.sum()), len(arms)))
+    out[rows[far]] = True
+    residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
+    told = []
+    for row, off, relative in zip(rows[far], residual, np.abs(all_off[far])):
+        turned = int(relative.argmax()) >= 3
+        size = float(np.linalg.norm(off[3:] if turned else off[:3]))
+        told.append(LeftOut(int(arms.frame[row]), "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return WildPoses(out, tuple(told))
+
+
+def _relative(residual: np.ndarray) -> np.ndarray:
+    """(n, k) whitened residuals over one scatter of positions and one of rotations, by their middle length: what a joint does shows along
+    other axes in every pose."""
+    out = np.empty_like(residual)
+    for part in (slice(0, 3), slice(3, 6)):
+        if residual[:, part].size:
+            out[:, part] = residual[:, part] / max(float(np.median(np.linalg.norm(residual[:, part], axis=1))) / np.sqrt(MIDDLE), 1e-300)
+    return out
+
+
+def _smooth(arms: Arms) -> np.ndarray:
+    """(n, k, q) what joints may do besides their geometry to what is measured, the plainest first."""
+    path = arms.context.moved().path
+    functions = [path.direction, speed(arms.commands, arms.t), path.last_step]
+    functions += [np.broadcast_to(c[:, None], arms.q.shape) for c in (*cosines(arms.t, SLOW).T, *_varying(arms))]
+    scaled = [values / np.abs(values).max() for values in functions if np.any(values)]
+    return np.concatenate([arms.joints * values[:, None, :] for values in scaled], axis=2)
+
+
+def _varying(arms: Arms) -> list[np.ndarray]:
+    """[(n,)] of the log's channels that vary, about their means."""
+    return [values - values.mean() for values in arms.channels.values() if np.ptp(values) > 0]
