@@ -69,7 +69,7 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
     unexplained = "no usual mistake explains it"
     if best.misfit > DONE and first.misfit > FINE:
         tried, through = _tried(first, most)
-        rivals = [(what, do, other) for what, do, other in tried if other.misfit < BETTER * first.misfit]
+        rivals = [(what, do, other) for what, do, other in tried if other.misfit < BETTER * first.misfit and _stands(first.seen, other)]
         if not through:
             unexplained = f"the search ended after {len(tried)} usual mistakes, none of which explains it, before all were tried"
         if rivals:
@@ -87,6 +87,14 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
                         "Look at `rig view REC --frame N`: sides, edges, faces and poses of the targets, matrix and size of the cameras",
                         first.misfit > 0.8 * LOST, 0.2)], first
     return [], first
+
+
+def _stands(stated: Seen, other: Trial) -> bool:
+    """Whether adjusting leaves lenses as a mistake would have them: where it leads elsewhere, the mistake was but another place to begin."""
+    if other.measured is None:
+        return True
+    changed = [k for k, (a, b) in enumerate(zip(stated.design.cameras, other.seen.design.cameras)) if not cameras.alike(a, b)]
+    return all(cameras.alike(other.seen.design.cameras[k], other.measured.design.cameras[k]) for k in changed)
 
 
 def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
