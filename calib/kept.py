@@ -28,13 +28,15 @@ def kept(recording: Recording, sampled: Sampled, done: Certified | ArmCertified 
     arguments : of the command; known : (Physics, covariance of the parameters with it, m^2), or None; before : on which this is one more pass
     """
     frames, found = sampled.samples.frame, done.found
-    covariance, scatter = found.covariance, found.scatter
-    if isinstance(done, Certified) and done.covariance is not None and done.scatter is not None:
-        covariance, scatter = done.covariance, done.scatter  # with all that these samples leave unknown
+    covariance, scatter, together = found.covariance, found.scatter, None
+    if isinstance(done, Certified) and done.covariance is not None and done.strut_covariance is not None:
+        covariance, together = done.covariance, done.strut_covariance  # with all that these samples leave unknown
+        scatter = np.sqrt(np.diag(together))
     physics, covariance = (None, covariance) if known is None else known
     source = store.provenance(recording, arguments, SEED, sampled.source == "images", sampled.files, sampled.data)
     if before is not None:
         source = store.after(source, *before)
     return with_workspace(Calibration(
         done.correction, covariance, scatter, tuple(frames[found.inliers].tolist()), tuple(frames[~found.inliers].tolist()),
-        done.held_out, source, claim, physics, confounds=confounds(sampled.samples, recording.design.mechanism)))
+        done.held_out, source, claim, physics, confounds=confounds(sampled.samples, recording.design.mechanism),
+        strut_covariance=together))

@@ -122,6 +122,7 @@ def save(path: Path | str, calibration: Calibration) -> None:
         "units": UNITS, "frames": ARM_FRAMES if arm else FRAMES,
         "nominal": mechanism_out(correction.nominal), "fitted": mechanism_out(correction.fitted), "parameter_order": _order(correction),
         "parameter_covariance": calibration.covariance.tolist(), _scatter_key(correction.nominal): calibration.scatter.tolist(),
+        **({} if calibration.strut_covariance is None else {"strut_covariance": calibration.strut_covariance.tolist()}),
         "remainder": [None if part is None else _part_out(part) for part in correction.remainder],
         **({"extension": kinds.as_dict(correction.extension)} if correction.extension is not None else {}),
         **({"pose_maps": [map_out(one) for one in correction.posed]} if correction.posed else {}),
@@ -155,7 +156,8 @@ def load(path: Path | str, kinds: Kinds = BY_NAME) -> Calibration:
                        _claim_in(tree.table("claim")) if tree.get("claim", None) is not None else None,
                        physics_in(tree.table("physics"), nominal, count, kinds) if "physics" in tree.tree else None,
                        workspace_in(tree.table("workspace")) if tree.get("workspace", None) is not None else None,
-                       confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None)
+                       confounds_in(tree.table("confounds")) if tree.get("confounds", None) is not None else None,
+                       _strut_covariance_in(tree) if "strut_covariance" in tree.tree else None)
 
 
 def _correction_in(tree: Entries, nominal: Struts | Arm | Chain, fitted: Struts | Arm | Chain) -> Correction[Any, Any]:
@@ -216,6 +218,15 @@ def _spread_in(tree: Entries, key: str, axes: int) -> np.ndarray:
     if (values < 0).any():
         tree.fail(f"{key} must not be negative, got {values.tolist()}", key)
     return values
+
+
+def _strut_covariance_in(tree: Entries) -> np.ndarray:
+    """(axes, axes) m^2, whose diagonal are the squares of strut_scatter; not in files of before it was worked out."""
+    scatter = tree.array("strut_scatter", (None,))
+    covariance = covariance_in(tree, len(scatter), "strut_covariance")
+    if not np.allclose(np.diag(covariance), scatter**2, rtol=1e-6, atol=1e-30):
+        tree.fail("strut_covariance must have the squares of strut_scatter on its diagonal", "strut_covariance")
+    return covariance
 
 
 def _held_out_in(table: Entries) -> HeldOut | None:

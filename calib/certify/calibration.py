@@ -27,7 +27,9 @@ class Calibration:
     provenance : what went in, by which versions and arguments; claim : Claim, or None in files of before there was one
     physics : Physics that was found beyond the geometry and is undone with it, or None
     workspace : Workspace, what the correction does to it, or None in files of before it was worked out
-    confounds : Confounds of the recording that was fitted, or None where no recording states them"""
+    confounds : Confounds of the recording that was fitted, or None where no recording states them
+    strut_covariance : (axes, axes) m^2 of what struts do beyond the geometry, where they may do it together, with scatter^2 on its diagonal;
+    None where each is by itself, and in files of before it was worked out"""
 
     correction: Correction[Any, Any]
     covariance: np.ndarray
@@ -40,6 +42,7 @@ class Calibration:
     physics: Physics | None = None
     workspace: Workspace | None = None
     confounds: Confounds | None = None
+    strut_covariance: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.physics is not None and self.physics.undone():

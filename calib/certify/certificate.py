@@ -31,8 +31,8 @@ SURELY = 0.9  # probability of a function of place beside everything else from w
 class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them
-    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 and scatter : (axes,) m of
-    these about the correction"""
+    machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their parameters and
+    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction"""
 
     correction: Correction[Struts, Radial]
     found: Identified
@@ -40,12 +40,12 @@ class Certified:
     held_out: HeldOut | None
     machines: Machines | None = None
     covariance: np.ndarray | None = None
-    scatter: np.ndarray | None = None
+    strut_covariance: np.ndarray | None = None
 
 
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
-    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters', the struts' own scatter and
-    what an extension may be off.
+    """(n, 6, 6) covariance of the corrected machine's pose at poses (n,): the parameters', what struts do beyond them, each by itself
+    or together, and what an extension may be off.
 
     docs/mathematics.md (21)
 
@@ -54,10 +54,11 @@ def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) 
     fitted = calibration.correction.fitted
     J = pose_jacobian(T_base_platform, fitted)
     back = to_pose(T_base_platform, fitted)
-    own = np.broadcast_to(calibration.scatter**2, (len(J), len(fitted.axes)))
+    own = np.diag(calibration.scatter**2) if calibration.strut_covariance is None else calibration.strut_covariance
     if calibration.correction.extension is not None:
-        own = own + calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform)) ** 2
-    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + (back * own[:, None]) @ np.swapaxes(back, 1, 2)
+        error = calibration.correction.extension.error(calibration.correction.inverse_without_physics(T_base_platform))
+        own = own + error[:, :, None] ** 2 * np.eye(len(fitted.axes))
+    covariance = J @ calibration.covariance @ np.swapaxes(J, 1, 2) + back @ own @ np.swapaxes(back, 1, 2)
     return covariance + calibration.correction.posed_error(T_base_platform)[..., None] ** 2 * np.eye(6)
 
 
@@ -140,8 +141,8 @@ def _with_machines(samples: Samples, done: Certified, sizes: Sizes, rng: np.rand
 def with_machines(done: Certified, machines: Machines) -> Certified:
     """The Certified with Machines about its correction, and what these leave unknown."""
     places, T = workspace_of(done.correction)
-    covariance, scatter = machines.second_moments(loop_jacobian(T, done.correction.fitted), done.correction.rho(places))
-    return replace(done, machines=machines, covariance=covariance, scatter=scatter)
+    covariance, struts = machines.second_moments(loop_jacobian(T, done.correction.fitted), done.correction.rho(places))
+    return replace(done, machines=machines, covariance=covariance, strut_covariance=struts)
 
 
 def refitted(done: Certified, correction: Correction[Struts, Radial], found: Identified) -> Certified:

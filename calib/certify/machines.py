@@ -41,18 +41,20 @@ class Machines:
         return before, after
 
     def second_moments(self, loops: np.ndarray, rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """((p, p) m^2 of the parameters about the fitted ones, (axes,) m by which struts are off besides), which over the workspace add up to
+        """((p, p) m^2 of the parameters about the fitted ones, (axes, axes) m^2 of what struts are off besides), which over the workspace add up to
         what the machines do there: what is a function of place counts as parameters as far as these can stand for it.
 
         loops : (m, axes, p) derivatives of the struts' closures with the parameters at the places; rho : (m, axes) m, the remainder
         """
         beyond, parameters = self.mean + rho, self.parameters.copy()
-        own = self.variance.mean(axis=(0, 1)) + np.einsum("daa->a", self.together) / len(self.together)
+        left = np.empty_like(beyond)
         for i in range(beyond.shape[2]):
             found = beyond[:, :, i] @ np.linalg.pinv(loops[:, i], rcond=FAINT).T
             parameters += found
-            own[i] += ((beyond[:, :, i] - found @ loops[:, i].T) ** 2).mean()
-        return parameters.T @ parameters / len(parameters), np.sqrt(own)
+            left[:, :, i] = beyond[:, :, i] - found @ loops[:, i].T
+        rows = left.reshape(-1, left.shape[2])
+        own = np.diag(self.variance.mean(axis=(0, 1))) + self.together.mean(axis=0) + rows.T @ rows / len(rows)
+        return parameters.T @ parameters / len(parameters), (own + own.T) / 2
 
     def with_more(self, parameters: np.ndarray, course: np.ndarray) -> "Machines":
         """The machines with errors added. parameters : (d, p) m; course : (d, n, axes) m, of struts in the course of the recording"""

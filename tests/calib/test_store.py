@@ -55,6 +55,18 @@ def test_a_file_of_before_there_was_a_claim_is_read(calibration, tmp_path):
     assert store.load(tmp_path / "c.json").claim is None and store.load(tmp_path / "c.json").held_out.configurations == 150
 
 
+def test_what_struts_do_together_is_read_as_it_was_written(calibration, tmp_path):
+    together = np.diag([4e-12] * 6) + 1e-12
+    known = replace(calibration, scatter=np.sqrt(np.diag(together)), strut_covariance=together)
+    store.save(tmp_path / "c.json", known)
+    np.testing.assert_allclose(store.load(tmp_path / "c.json").strut_covariance, together)
+    edited(tmp_path / "c.json", strut_scatter__0=5e-6)
+    with pytest.raises(FileError, match="squares of strut_scatter on its diagonal"):
+        store.load(tmp_path / "c.json")
+    store.save(tmp_path / "c.json", calibration)
+    assert "strut_covariance" not in (tmp_path / "c.json").read_text() and store.load(tmp_path / "c.json").strut_covariance is None
+
+
 @pytest.mark.parametrize("spoil, says", [
     (lambda text: text[: len(text) // 2], "not valid JSON.*cut off"),
     (lambda text: text.replace("calibration/1", "calibration/9"), "calibration/9"),

@@ -52,6 +52,18 @@ def test_a_claim_holds_where_physics_is_left_out_and_the_claim_names_it(tmp_path
     assert (np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815).mean() > 0.75
 
 
+def test_ellipsoids_hold_what_all_struts_do_together(tmp_path):
+    """Heat and warm-up lengthen all struts alike: with each strut by itself, 95 % ellipsoids of these three hold some 75 %."""
+    inside = []
+    for k, (seed, effect, plan) in enumerate([(0, "warm_up", "shuffled"), (0, "thermal_expansion", "sobol"), (1, "thermal_expansion", "sobol")]):
+        of, calibration, *_ = calibrated(tmp_path / str(k), seed, effect, "strong", plan)
+        off, wanted = driven(of, calibration)
+        C = model_covariance(calibration, wanted)[:, :3, :3]
+        inside.append(np.einsum("ni,nij,nj->n", off[:, :3], np.linalg.inv(C), off[:, :3]) < 7.815)
+        np.testing.assert_allclose(np.sqrt(np.diag(calibration.strut_covariance)), calibration.scatter)
+    assert np.mean(inside) > 0.93
+
+
 def test_a_claim_is_sharp_and_has_nothing_unexplained_where_nothing_is_left_out(tmp_path):
     of, calibration, claim, _ = calibrated(tmp_path / "rec", 1, "none", "none", "shuffled", count=50)
     median, low, high = claim.after[0]
