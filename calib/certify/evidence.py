@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim
 from calib.certify.held_out import HeldOut
-from calib.certify.verdict import verdict
+from calib.certify.verdict import WHERE, refuting, verdict
+from calib.certify.verification import Verification
 from calib.confounds import Confounds
 from rig.judgement import LOOK, Evidence, Missing, State, Verdict, judge
 from rig.refutations import Refutation
@@ -38,6 +40,23 @@ def evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), s
     return Evidence(said if statement is None else statement, tuple(steps), of_claim(calibration.held_out, claim), (*unexplained, *doubted),
                     separable(calibration.confounds),
                     tuple(missing), tuple(refuted), LOOK if calibration.correction.nominal.kind == "chain" else TAKE_IN)
+
+
+def held_against(known: Evidence, found: Verification | None, by: str = "", look: str | None = None) -> Evidence:
+    """Evidence with what a held-out recording says of the claim. found : Verification, None where no factor is claimed
+
+    by : the recording, where the sentence names it; look : the step where the claim is refuted, that of known by default
+    """
+    if found is None:
+        return known
+    if found.offset is not None and found.offset.kept:
+        moved = Missing(f"the {WHERE[found.offset.of]} stands elsewhere", "Seat targets and instrument anew, or state where they stand in rig.toml")
+        return replace(known, missing=(*known.missing, moved))
+    if found.refutes:
+        said = f"the claim is NOT kept{by and f' by {by}'}: {refuting(found)}"
+        return replace(known, refuted=(said, *known.refuted), look=known.look if look is None else look)
+    ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
+    return replace(known, held_out=max(ratios, default=None))
 
 
 def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:

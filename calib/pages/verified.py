@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.evidence import evidence, separable
+from calib.certify.evidence import evidence, held_against, separable
 from calib.certify.held_out import Figures, HeldOut
-from calib.certify.verdict import WHERE, refuting, verified
+from calib.certify.verdict import verified
 from calib.certify.verification import Verification
 from calib.confounds import Confounds
 from calib.pose_figures import before_after, coverage
@@ -75,18 +75,9 @@ def judged(v: Verified) -> Verdict:
         return judge(_of_driven(v))
     if v.same:
         return judge(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
-    line, found = verified(v.held, v.calibration.claim, v.found), v.found
-    known = evidence(v.calibration, v.refutations, line, (CERTIFY,))
+    known = evidence(v.calibration, v.refutations, verified(v.held, v.calibration.claim, v.found), (CERTIFY,))
     known = replace(known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"this recording: {said}" for said in separable(v.confounds))])))
-    if found is None:
-        return judge(known)
-    if found.offset is not None and found.offset.kept:
-        moved = Missing(f"the {WHERE[found.offset.of]} stands elsewhere", "Seat targets and instrument anew, or state where they stand in rig.toml")
-        return judge(replace(known, missing=(*known.missing, moved)))
-    if refutes(v):
-        return judge(replace(known, refuted=(f"the claim is NOT kept: {refuting(found)}", *known.refuted), look=CHANGED))
-    ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
-    return judge(replace(known, held_out=max(ratios, default=None)))
+    return judge(held_against(known, v.found, look=CHANGED))
 
 
 def refutes(v: Verified) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from calib.certify import conformity, tolerance_limits
+from calib.certify.against_claim import AgainstClaim
 from calib.certify.budget import Budget, budget, rms, thermometer
 from calib.certify.calibration import Calibration
 from calib.certify.conformity import Conformity
@@ -46,7 +47,8 @@ class Certificate:
     """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise, cells : whole volume and boxes of it
     errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and calibrated, of those
     provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
-    known : Evidence of the calibration, what these recordings say of its claim included."""
+    known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each recording, none where no
+    factor is claimed."""
 
     machine: str
     asked: Asked
@@ -65,6 +67,7 @@ class Certificate:
     provenance: dict[str, Any]
     confounds: Confounds | None = None
     known: Evidence | None = None
+    claims: tuple[AgainstClaim, ...] = ()
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

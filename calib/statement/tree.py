@@ -5,6 +5,7 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
+from calib.certify.against_claim import AgainstClaim
 from calib.certify.budget import COVERAGE, Budget
 from calib.certify.held_out import Figures
 from calib.certify.promise import Promise
@@ -34,6 +35,7 @@ def tree(c: Certificate) -> dict[str, Any]:
         "held_out": {"before": _figures(c.before), "after": _figures(c.after)},
         "repeatability": asdict(c.repeatability), "iso9283": asdict(c.iso9283), "iso230": [asdict(axis) for axis in c.iso230],
         "conformity": [asdict(k) for k in c.conformity], "budget": _budget(c.budget), "conditions": asdict(c.conditions),
+        "claim": {"kept": all(one.found.kept for one in c.claims), "recordings": [_against_claim(one) for one in c.claims]} if c.claims else None,
         "verdict": judged(c).tree(), **({} if c.confounds is None else {"confounds": c.confounds.tree()}), **c.provenance}
     return {name: nulls(value) for name, value in out.items()}
 
@@ -47,6 +49,13 @@ def _promise(p: Promise) -> dict[str, Any]:
     return {"position_m": p.position.upper, "rotation_rad": p.turned, "coverage": p.coverage,
             "confidence": p.confidence, "n": p.n, "position": asdict(p.position),
             "rotation": None if p.rotation is None else asdict(p.rotation)}
+
+
+def _against_claim(one: AgainstClaim) -> dict[str, Any]:
+    parts = {name: {"rms": part.rms, "beyond_noise": beyond, "claimed": claimed, "of_allowed": part.of_allowed, "limit": part.limit,
+                    "kept": part.kept} for name, (part, beyond, claimed) in one.parts.items()}
+    return {"recording": one.recording, "n": one.found.n, "kept": one.found.kept, "position": parts.get("position"),
+            "rotation": parts.get("rotation"), "offset": one.found.offset and asdict(one.found.offset)}
 
 
 def _budget(b: Budget) -> dict[str, Any]:

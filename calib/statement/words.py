@@ -1,9 +1,11 @@
 """A certificate in sentences: the first line says whose scale it rests on, the next what is promised."""
 
+from calib.certify.against_claim import AgainstClaim
 from calib.certify.budget import Contribution, Expanded
 from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.reversal import AxisTest
+from calib.certify.verdict import elsewhere
 from calib.statement.certificate import Certificate
 
 
@@ -59,6 +61,7 @@ def rest_lines(c: Certificate) -> list[str]:
     lines = [f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and all, the limit is "
              f"{um(p.position.measured)}" + ("" if p.rotation is None else f" and {urad(p.rotation.measured)}")
              + f"; half of the poses lie nearer than {um(_median(c))}."]
+    lines += [claim_line(one) for one in c.claims]
     if p.position.shared or p.position.scale:
         lines.append(f"In it: {um(p.position.shared)} for what all poses of a recording share (cameras, lenses), {um(p.position.scale)} for "
                      "the scale; margins add in squares.")
@@ -75,6 +78,17 @@ def rest_lines(c: Certificate) -> list[str]:
     if not c.cells:
         lines.append("No bound for parts of the volume: that takes as many configurations in each as for the whole.")
     return lines
+
+
+def claim_line(one: AgainstClaim) -> str:
+    """The calibration's claim against what a held-out recording shows."""
+    if not one.parts:
+        return f"Nothing that {one.recording} measured is claimed by the calibration."
+    said = []
+    for name, (_, beyond, (middle, low, high)) in one.parts.items():
+        size = um if name == "position" else urad
+        said.append(f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to {size(high)})")
+    return f"The calibration's claim is {'kept' if one.found.kept else 'NOT kept'} by {one.recording}: {'; '.join(said)}{elsewhere(one.found)}."
 
 
 def _sentence(line: str) -> str:

@@ -17,6 +17,7 @@ from rig.judgement import Evidence, exit_status
 from rig.number import number
 
 if TYPE_CHECKING:
+    from calib.certify.against_claim import AgainstClaim
     from calib.pipeline import Sampled
     from calib.statement import dcc
     from calib.statement.certificate import Certificate
@@ -126,7 +127,8 @@ def run(arguments: Namespace) -> int:
                    arguments.rated_load)
     made = certified(calibration, held, wanted, provenance.of(arguments.calibration, calibration, [r for r, _ in held], arguments.argv, SEED),
                      np.random.default_rng(SEED))
-    made = replace(made, known=_against_claim(calibration, held, arguments))
+    known, claims = _against_claim(calibration, held, arguments)
+    made = replace(made, known=known, claims=claims)
     verdict = judged(made)
     progress.close()
     left_out = no_drawing() if suffix == "" else None
@@ -144,21 +146,25 @@ def run(arguments: Namespace) -> int:
     return exit_status(verdict)
 
 
-def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled]], arguments: Namespace) -> Evidence:
-    """Evidence of a calibration with what held-out recordings say of its claim; its file is marked where they refute it."""
+def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled]],
+                   arguments: Namespace) -> tuple[Evidence, tuple[AgainstClaim, ...]]:
+    """(Evidence of a calibration with what held-out recordings say of its claim, AgainstClaim of each); its file is marked where they refute it."""
     import numpy as np
 
     from calib.certify import verdict as words
-    from calib.certify.evidence import evidence
-    from calib.certify.verification import of_samples
+    from calib.certify.against_claim import against_claim
+    from calib.certify.evidence import evidence, held_against
 
-    known = evidence(calibration, refuting.known(arguments.calibration))
+    known, claims = evidence(calibration, refuting.known(arguments.calibration)), []
     for recording, sampled in held:
-        found = of_samples(calibration, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
-        if found is not None and found.refutes:
-            refuting.mark(arguments, arguments.calibration, recording.name, words.refuting(found))
-            known = replace(known, refuted=(f"the claim is NOT kept by {recording.name}: {words.refuting(found)}", *known.refuted))
-    return known
+        one = against_claim(calibration, recording.name, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
+        if one is None:
+            continue
+        claims.append(one)
+        known = held_against(known, one.found, recording.name)
+        if one.found.refutes:
+            refuting.mark(arguments, arguments.calibration, recording.name, words.refuting(one.found))
+    return known, tuple(claims)
 
 
 def _held_out(calibration: Calibration, arguments: Namespace, progress: Progress) -> list[tuple[Recording, Sampled]]:

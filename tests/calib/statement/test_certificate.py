@@ -88,6 +88,23 @@ def test_the_certificate_keeps_its_published_schema(held):
             jsonschema.validate({**held.tree, key: value}, schema)
 
 
+def test_the_claim_is_compared_with_the_held_out_recording(held):
+    """Backlash that the calibration's claim holds: kept, in a line and in JSON; the same claim a fifth as large is refuted, marked and bad."""
+    claim, lines = held.tree["claim"], held.out.splitlines()
+    one, = claim["recordings"]
+    middle, low, high = one["position"]["claimed"]
+    assert claim["kept"] and one["recording"] == "other" and one["position"]["beyond_noise"] < high and low < middle and one["rotation"]["kept"]
+    assert any(line.startswith("The calibration's claim is kept by other: position error ") and f"{middle * 1e6:.1f} um (" in line for line in lines)
+    small = json.loads((held.folder / "cal.json").read_text())
+    small["claim"]["after"] = [[value / 5 for value in three] for three in small["claim"]["after"]]
+    (held.folder / "small").mkdir()
+    (held.folder / "small" / "cal.json").write_text(json.dumps(small))
+    out = rig("certify", held.folder / "small" / "cal.json", held.folder / "other", "--out", held.folder / "small" / "made.json", ok=False)
+    made = json.loads((held.folder / "small" / "made.json").read_text())
+    jsonschema.validate(made, tree.published())
+    assert "The calibration's claim is NOT kept by other" in out and made["claim"]["kept"] is False and made["verdict"]["state"] == "bad"
+
+
 @pytest.mark.slow
 def test_a_folder_of_all_lacks_the_pdf_where_nothing_draws_it_and_says_so(held, monkeypatch):
     there = importlib.util.find_spec
