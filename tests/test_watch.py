@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from calib import store
-from calib.drift.evidence import ALARM
+from calib.certify.verification import Part, Verification
+from calib.drift.evidence import ALARM, Suspect, Verdict
+from calib.drift.hypotheses import SOMETHING
+from calib.pages.watched import Visit, judged
 from rig import table
 from rig.cli import main
 from rig.judgement import REFUTED as CHANGED
+from rig.judgement import Evidence
 from tests.calib.drifting import changed, rig
 
 
@@ -73,6 +77,19 @@ def test_what_has_no_name_is_said_to_have_none(watched, week, tmp_path, capsys):
     assert main(["watch", str(base / "calibration.json"), str(tmp_path / "after"), "--history", str(week)]) == CHANGED
     said = capsys.readouterr().out
     assert "something changed, we cannot say what" in said and "rig diagnose" in said
+
+
+@pytest.mark.parametrize("of_allowed, state, says", [(0.5, "check", "the calibration leaves something out, there from the beginning or since"),
+                                                     (1.3, "bad", "position error 40 um RMS where up to 30 um is claimed")])
+def test_a_first_visit_that_disagrees_is_judged_by_the_claim(of_allowed, state, says):
+    none = np.zeros(0)
+    alarm = Verdict(90.0, 40, 0.0, (Suspect(SOMETHING, SOMETHING, 0, 1.0, none, none),), 1e-9, 1e-9)
+    kept = Verification(40, Part(40e-6, 30e-6, of_allowed, 1.1, 50e-6), None)
+    assert alarm.alarm
+    found = judged([Visit("day0", alarm, (), 1.0, kept)], Evidence(""))
+    assert found.state == state and says in found.why
+    later = judged([Visit("day1", Verdict(90.0, 40, 9.0, alarm.suspects, 1e-9), (), 1.0)], Evidence(""))
+    assert later.state == "bad" and "something changed" in later.why
 
 
 def test_a_visit_is_planned_within_the_strokes_and_tells_more_than_an_even_one(watched, tmp_path, design, capsys):

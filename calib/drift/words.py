@@ -31,8 +31,10 @@ REMEASURE = {
 }
 
 
-def lines(verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float) -> list[str]:
-    """Lines about a visit of a name. names : of the visits in order, for saying since when; scale : see History.scale."""
+def lines(verdict: Verdict, name: str, names: Sequence[str], reference: Reference, scale: float,
+          allowed: bool = False) -> list[str]:
+    """Lines about a visit of a name. names : of the visits in order, for saying since when; scale : see History.scale
+    allowed : whether what a first visit disagrees by is within the calibration's claim."""
     agree = np.sqrt(verdict.square / verdict.count / scale)
     against = "the visits before" if verdict.chance is None else "the calibration"
     out = [f"{name}: agrees with {against} to {agree:.3f} of what measuring repeats to (1 where nothing changed)"]
@@ -43,7 +45,10 @@ def lines(verdict: Verdict, name: str, names: Sequence[str], reference: Referenc
                       f"reach once in {ALARM:g} visits or more, on average)"]
     first, named = verdict.suspects[0], verdict.named
     since = "since the calibration" if first.since == 0 else f"since {names[first.since]}"
-    if named is None:
+    if allowed:
+        what = "without a name" if named is None else f"likeliest {_said(named, reference)}"
+        out.append(f"  THE CALIBRATION LEAVES SOMETHING OUT, there from the beginning or since, {what}; its claim is not refuted by this visit")
+    elif named is None:
         nearest = next((one for one in verdict.suspects if one.kind != SOMETHING), None)
         out.append(f"  THE CALIBRATION NO LONGER DESCRIBES WHAT IS SEEN, {since}: something changed, we cannot say what"
                    + (f" (the nearest name, {_said(nearest, reference)}, leaves more than noise)" if nearest is not None else ""))

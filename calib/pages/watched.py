@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.certify.verdict import refuting
+from calib.certify.verification import Verification
 from calib.drift.evidence import ALARM, Verdict as Changes
 from rig.judgement import Evidence, Verdict, judge
 from rig.page.document import Link, Page, write
@@ -17,12 +19,19 @@ SHOWN = 8  # suspects
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visit:
-    """A visit of a name, what it says and that in lines; scale : of what measuring repeats to"""
+    """A visit of a name, what it says and that in lines; scale : of what measuring repeats to
+    found : Verification of the calibration's claim by a first visit that disagrees with it, None of other visits"""
 
     name: str
     evidence: Changes
     lines: Sequence[str]
     scale: float
+    found: Verification | None = None
+
+    @property
+    def allowed(self) -> bool:
+        """Whether what a first visit disagrees by is within the claim, so that it may have been there when the calibration was made."""
+        return self.found is not None and bool(self.found.parts) and not self.found.refutes
 
 
 def watched_page(path: Path | str, calibration: str, visits: Sequence[Visit], verdict: Verdict, links: Sequence[Link] = ()) -> None:
@@ -49,13 +58,24 @@ def judged(visits: Sequence[Visit], known: Evidence) -> Verdict:
     last, steps = visits[-1], to_do(visits)
     if not last.evidence.alarm:
         return judge(replace(known, statement=f"the calibration holds at visit {len(visits)}, {last.name}", steps=tuple(steps)))
-    return judge(replace(known, statement=f"visit {len(visits)}, {last.name}", refuted=(changed(last.evidence), *known.refuted), look=steps[0]))
+    statement = f"visit {len(visits)}, {last.name}"
+    if last.allowed:
+        return judge(replace(known, statement=statement, steps=(), unexplained=(left_out(last), *known.unexplained), look=steps[0]))
+    beyond = () if last.found is None else (refuting(last.found),)
+    return judge(replace(known, statement=statement, refuted=(changed(last.evidence), *beyond, *known.refuted), look=steps[0]))
 
 
 def changed(found: Changes) -> str:
     """What an alarm says, a sentence."""
     named = found.named
     return f"something changed, likeliest {named.name}" if named is not None else "something changed, and it has no name"
+
+
+def left_out(visit: Visit) -> str:
+    """What a first visit says of a calibration whose claim it keeps, a sentence."""
+    named = visit.evidence.named
+    like = "" if named is None else f", likeliest {named.name}"
+    return f"the calibration leaves something out{like}, there from the beginning or since; its claim is not refuted by it"
 
 
 def to_do(visits: Sequence[Visit]) -> list[str]:

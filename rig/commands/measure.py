@@ -12,6 +12,7 @@ from rig.errors import RigError
 from rig.outside import read_bytes, read_text
 
 if TYPE_CHECKING:
+    from calib.pages.measured import Measured
     from rig.design import Camera
     from rig.recording import Recording
     from vision.measure import Measurement
@@ -50,8 +51,7 @@ def run(arguments: Namespace) -> None:
         out = arguments.outputs.folder(arguments.out)
         arguments.outputs.data = provenance.lines(marks())
 
-    from calib.samples import uncertainty
-    from calib.pages.measured import judged, Measured, measurement_page
+    from calib.pages.measured import Measured, measurement_page
     from vision.bundle.crossvalidate import crossvalidate
     from vision.bundle.determined import determined
     from vision.bundle.places import listed, places
@@ -78,20 +78,31 @@ def run(arguments: Namespace) -> None:
     writing.copy_times(recording.folder, out, recording.exposures, recording.origin)
     told = Measured(recording, measured, held, collected, moved, determination.lines(), wrong)
     measurement_page(out / "report.html", told, near(arguments, arguments.out / "report.html"))
-    print(judged(told).line)
-    _print_verdict(measured, held, uncertainty(measured.covariance), len(recording.exposures.times()[0]))
-    arguments.result = _result(recording, measured, held, uncertainty(measured.covariance)) | {"verdict": judged(told).tree()}
-    print_unsolved(measured)
-    _stages(out, measured, len(recording.exposures.times()[0]))
-    if wrong:
-        print(f"{len(wrong)} marker{'s are' if len(wrong) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the poses:")
-        for suspect in wrong:
-            print(f"  {suspect}")
-    if moved:
-        _print_places(moved)
-    _print_cameras(recording.design.cameras, measured.design.cameras)
+    _print_result(arguments, told, out)
     print(determination.summary())
     print(f"written: {arguments.out}/poses.csv, rpy.csv (roll, pitch, yaw), corners.csv, rig.toml; look at {arguments.out}/report.html")
+
+
+def _print_result(arguments: Namespace, told: Measured, out: Path) -> None:
+    """Print what was measured, the verdict first, and state it as what --json prints; the poses of a chain's stages are written to a folder."""
+    from calib.pages.measured import judged
+    from calib.samples import uncertainty
+
+    recording, measured, verdict = told.recording, told.measurement, judged(told)
+    uncertainties, total = uncertainty(measured.covariance), len(recording.exposures.times()[0])
+    arguments.result = _result(recording, measured, told.held, uncertainties) | {"verdict": verdict.tree()}
+    print(verdict.line)
+    _print_verdict(measured, told.held, uncertainties, total)
+    print_unsolved(measured)
+    _stages(out, measured, total)
+    if told.suspects:
+        print(f"{len(told.suspects)} marker{'s are' if len(told.suspects) > 1 else ' is'} not what rig.toml says; what disagrees is left out of the "
+              "poses:")
+        for suspect in told.suspects:
+            print(f"  {suspect}")
+    if told.places:
+        _print_places(told.places)
+    _print_cameras(recording.design.cameras, measured.design.cameras)
 
 
 def _stages(out: Path, measured: Measurement, total: int) -> None:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.commands import refuting
 from rig.commands.output import SEED, Progress, add_force, add_json, add_page, near, place_of_page, print_json
 from rig.errors import RigError
-from rig.judgement import exit_status
+from rig.judgement import State, exit_status
 from rig.number import whole
 
 if TYPE_CHECKING:
+    from calib.certify.calibration import Calibration
+    from calib.certify.verification import Verification
     from calib.drift.evidence import Verdict
     from calib.drift.history import History
+    from rig.recording import Recording
 
 MEASURING = ("camera", "target", "instrument")  # kinds of changes of what measures: the calibration itself stands
 POSES = 12
@@ -55,7 +59,7 @@ def _watch(arguments: Namespace) -> int:
     from calib.confounds import of_recordings
     from calib.drift import history_file, words
     from calib.drift.history import History, take
-    from calib.pages.watched import Visit, changed, judged, watched_page
+    from calib.pages.watched import Visit, changed, judged, left_out, watched_page
     from rig import recording as recordings
 
     progress = Progress()
@@ -75,9 +79,12 @@ def _watch(arguments: Namespace) -> int:
         progress.close()
         assert history.reference is not None
         confounds = of_recordings([recording])
-        told.append(_tree(verdict, history, scale) | {"confounds": confounds and confounds.tree()})
-        lines = words.lines(verdict, history.visits[-1].name, _names(history), history.reference, scale)
-        seen.append(Visit(history.visits[-1].name, verdict, lines, scale))
+        found = _verified(calibration, recording, verdict)
+        claim = None if found is None else {"kept": not found.refutes, "of_limit": found.of_limit}
+        told.append(_tree(verdict, history, scale) | {"claim": claim, "confounds": confounds and confounds.tree()})
+        seen.append(Visit(history.visits[-1].name, verdict, (), scale, found))
+        lines = words.lines(verdict, seen[-1].name, _names(history), history.reference, scale, seen[-1].allowed)
+        seen[-1] = replace(seen[-1], lines=lines)
         shown += [*lines, *([] if confounds is None else [f"  {confounds.line()}"])]
     judgement = judged(seen, evidence(calibration, refuting.known(arguments.calibration)))
     if kept is not None:
@@ -85,7 +92,9 @@ def _watch(arguments: Namespace) -> int:
     if page is not None:
         watched_page(page, arguments.calibration.name, seen, judgement, near(arguments, arguments.page))
     last = seen[-1].evidence
-    if last.alarm and (last.named is None or last.named.kind not in MEASURING):
+    if seen[-1].allowed:
+        refuting.mark(arguments, arguments.calibration, seen[-1].name, left_out(seen[-1]), State.CHECK)
+    elif last.alarm and (last.named is None or last.named.kind not in MEASURING):
         refuting.mark(arguments, arguments.calibration, seen[-1].name, changed(last))
     if not arguments.json:
         print("\n".join([judgement.line, *shown]))
@@ -94,6 +103,18 @@ def _watch(arguments: Namespace) -> int:
     elif kept is not None:
         print(f"{history.number} visits in {arguments.history}")
     return exit_status(judgement)
+
+
+def _verified(calibration: Calibration, recording: Recording, verdict: Verdict) -> Verification | None:
+    """The claim held against a first visit that disagrees with the calibration, as `rig verify` holds it; None of other visits."""
+    import numpy as np
+
+    from calib.certify.verification import of_samples
+    from calib.pipeline import sample_recording
+
+    if not verdict.alarm or verdict.chance is None:
+        return None
+    return of_samples(calibration, calibration.told(recording, sample_recording(recording).samples), np.random.default_rng(SEED))
 
 
 def _names(history: History) -> list[str]:
