@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.certify.load_signs import signs
 from calib.samples import Samples
+from rig.kinds import Struts
 from rig.plan import FILL
 from rig.recording import PAYLOAD
 
@@ -17,6 +19,7 @@ OWN, WHOLE = (0.15, 0.5, 1.5), (1.8, 4.0)  # half strokes over which a function 
 TIMES = (0.1, 0.4)  # of the recording's duration, over which a function of time changes
 SAMPLE, CONFIGURATION, PLACE, CONDITION = "sample", "configuration", "place", "condition"
 RANK = 1e-3  # of a kernel's greatest eigenvalue, below which its directions count as scatter
+SIDED = 0.03  # probability, before the poses, of a strut whose joints have a clearance
 WARM, HEAVY = 0.05, 1e-3  # K and kg, spread of a logged temperature and load from which they have varied
 
 Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -58,15 +61,15 @@ def scaled(commands: np.ndarray, strokes: np.ndarray) -> np.ndarray:
     return np.asarray((commands - strokes.mean(axis=1)) / (np.ptp(strokes, axis=1) / 2))
 
 
-def components(samples: Samples, label: np.ndarray, strokes: np.ndarray) -> list[list[Component]]:
-    """Per strut the Components that samples may show. label : (n,) configuration of each; strokes : (axes, 2) m"""
-    x, n = scaled(samples.effective, strokes), len(samples)
+def components(samples: Samples, label: np.ndarray, nominal: Struts) -> list[list[Component]]:
+    """Per strut the Components that samples may show. label : (n,) configuration of each; nominal : the owner's geometry"""
+    x, n = scaled(samples.effective, nominal.strut_range), len(samples)
     spread = FILL / np.sqrt(3)  # of a strut's place over the workspace, half strokes
     shared = [_scatter(n), *_repeated(label), *_times(samples), *_loads(samples, x)]
     whole = [_of_place(f"the configuration, over {length:g} half strokes", x, _whole(length)) for length in WHOLE]
     whole.append(_of_place("the configuration, in proportion", x, _linear(slice(None))))
     out = []
-    for i in range(x.shape[1]):
+    for i, side in enumerate(signs(samples, nominal)):
         step = np.diff(x[:, i], prepend=x[0, i]) / (spread * np.sqrt(2))
         own = [replace(_line("the last step", 0.04, step), use=_stepped(i)),
                *(_of_place(f"the strut's own length, over {length:g} half strokes", x, _own(i, length)) for length in OWN),
@@ -76,6 +79,8 @@ def components(samples: Samples, label: np.ndarray, strokes: np.ndarray) -> list
             direction = samples.conditions.direction[:, i]
             own += [replace(_line("the direction of approach", 0.12, direction), use=_approached(i)),
                     replace(_line("the direction of approach, along the stroke", 0.04, direction * x[:, i] / spread), use=_along(i))]
+        if side is not None:
+            own.append(replace(_line("the sign of its load", SIDED, side[0]), use=side[1]))
         out.append([*shared, *(one for one in own if one.basis.any())])
     return out
 

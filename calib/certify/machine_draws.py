@@ -45,7 +45,7 @@ def sized(found: Identified, known: Tolerance, samples: Samples, label: np.ndarr
     counted = found.inliers if (~found.inliers).mean() <= WILD else np.ones(len(samples), bool)
     samples, label = samples.take(counted), np.unique(label[counted], return_inverse=True)[1]
     model, struts = _Closures(found, samples), []
-    parts, y = components(samples, label, nominal.strut_range), model.about(nominal)
+    parts, y = components(samples, label, nominal), model.about(nominal)
     for i, own in enumerate(parts):
         D, C = model.D[:, i], model.common[:, i]
         V = np.diag(model.own[:, i, i]) + C @ C.T + (D * known.prior**2) @ D.T
@@ -77,7 +77,7 @@ def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, n
     sizes : Sizes by the same samples; places : (m, axes) m commands; noise : (COUNT,) factors on the poses' covariance
     """
     model, parts, x = _Closures(found, samples.take(sizes.inliers)), sizes.components, scaled(places, nominal.strut_range)
-    at = [[part.kernel is not None and part.at(x) or None for part in own] for own in parts]
+    at = [[part.at(x) if part.kernel is not None else part.use(x) if part.use is not None else None for part in own] for own in parts]
     middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
     width = spread(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
     size = sizes.draws
@@ -114,17 +114,16 @@ def _used(part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarr
           x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(mean (EACH, m) m, variance (EACH, m) m^2) of a component of a size over places x (m, axes).
 
-    c : (EACH, r) its coefficients, or None; at : what `Component.at` says
+    c : (EACH, r) its coefficients, or None; at : what `Component.at` or `Component.use` says of the places
     """
     nothing = np.zeros((EACH, len(x)))
     if c is None or part.over not in (CONDITION, PLACE):  # other visits and configurations have their own
         return nothing, nothing + size**2
-    if at is not None:
+    if at is None:
+        return nothing, nothing
+    if part.over == PLACE:
         return c @ at[0].T, nothing + size**2 * at[1]
-    if part.use is not None:
-        factor, about = part.use(x)
-        return c * factor, c**2 * about
-    return nothing, nothing
+    return c * at[0], c**2 * at[1]
 
 
 class _Closures:

@@ -105,7 +105,7 @@ def strut(rng, n, parts, deviation):
 def test_sizes_are_found_where_samples_show_them_and_nothing_where_they_do_not(design):
     samples, _ = sampled(design, 5, 40)
     label, rng = labels(samples.commanded, ranges(design.mechanism)), np.random.default_rng(1)
-    parts = components(samples, label, design.mechanism.strut_range)
+    parts = components(samples, label, design.mechanism)
     time = next(part for part in parts[0] if part.name == "time").basis
     course = 2e-5 * np.sin(4 * samples.t / np.ptp(samples.t))
     off = [np.zeros(40), course, np.zeros(40), np.zeros(40), np.zeros(40), np.zeros(40)]
@@ -120,7 +120,7 @@ def test_components_have_a_mean_square_of_one_where_the_machine_is_used(design):
     label = labels(samples.commanded, ranges(design.mechanism))
     rng = np.random.default_rng(0)
     places = 0.8 * rng.uniform(-1, 1, (4000, 6))
-    for part in components(samples, label, design.mechanism.strut_range)[2]:
+    for part in components(samples, label, design.mechanism)[2]:
         assert part.over in (SAMPLE, PLACE, CONDITION)
         if part.use is not None:
             mean, variance = part.use(places)
