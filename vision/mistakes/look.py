@@ -90,11 +90,14 @@ def _seen(first: Trial, most: int) -> tuple[list[Mistake], Trial]:
 
 
 def _stands(stated: Seen, other: Trial) -> bool:
-    """Whether adjusting leaves lenses as a mistake would have them: where it leads elsewhere, the mistake was but another place to begin."""
+    """Whether adjusting leaves lenses as a mistake would have them: where it leads elsewhere, the mistake was but another place to begin.
+
+    Lenses that a mistake leaves as stated may differ from that where it explains all: nothing is then left for them to take up
+    """
     if other.measured is None:
         return True
-    changed = [k for k, (a, b) in enumerate(zip(stated.design.cameras, other.seen.design.cameras)) if not cameras.alike(a, b)]
-    return all(cameras.alike(other.seen.design.cameras[k], other.measured.design.cameras[k]) for k in changed)
+    ones = list(zip(stated.design.cameras, other.seen.design.cameras, other.measured.design.cameras))
+    return all(cameras.alike(meant, adjusted) or (other.misfit < DONE and cameras.alike(was, meant)) for was, meant, adjusted in ones)
 
 
 def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
@@ -103,7 +106,7 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     A reading of the stated lenses is named only where it gives what adjusting found: from where it begins, chance brings adjusting to an end
     """
     best = first
-    for other in cameras.unstated(first.seen):
+    for other in _beginnings(first.seen):
         tried = trial(other)
         best = min(best, tried, key=lambda one: one.misfit)
         if tried.misfit < DONE:
@@ -126,6 +129,19 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
                     False, 0.6)], best
 
 
+def _beginnings(stated: Seen) -> Iterator[Seen]:
+    """Lenses from which adjusting begins: some of which nothing is known, then those found with markers' places free.
+
+    A lens far from the stated one puts corners of its camera so far off that frames or the whole camera are left out; with places free they are not
+    """
+    unknown = list(cameras.unstated(stated))
+    yield from unknown
+    for begun in (stated, unknown[0]):
+        loose = trial(begun, ("poses", "lenses", "markers")).measured
+        if loose is not None:
+            yield begun.with_cameras(loose.design.cameras)
+
+
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     """The print's scale, where that explains the misfit."""
     tried = [(body, share, trial(other)) for body, share, other in targets.sizes(first.seen)]
@@ -135,7 +151,7 @@ def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
     share = targets.exact(first.seen, share, body, lambda seen: trial(seen).misfit)
     at = trial(targets.with_sides(first.seen, share, body))
     best = at if at.misfit < best.misfit else best
-    if best.misfit**2 > HALF * first.misfit**2 or abs(share - 1) < targets.PRINTED or _edges(first) < best.misfit:
+    if best.misfit**2 > HALF * first.misfit**2 or abs(share - 1) < targets.PRINTED or not _stands(first.seen, best) or _edges(first) < best.misfit:
         return [], first
     who = next((t for t in first.seen.design.targets if body in (None, t.body)), None)
     said = targets.said(share, who) + (f", those on the {body}" if body else "")
@@ -224,9 +240,12 @@ def _elsewhere(one: Trial) -> float:
 
 
 def _lens(m: Measurement, design: Design) -> list[Mistake]:
-    """Lenses that adjusting brought to what another sign or order of the stated terms is."""
+    """Lenses that adjusting brought to what another sign or order of the stated terms is, where all others are as stated."""
     found: dict[tuple[str, str], list[str]] = {}
-    for stated, seen in zip(design.cameras, m.design.cameras):
+    ones = list(zip(design.cameras, m.design.cameras))
+    if not all(any(cameras.alike(way, seen) for way in (stated, *(other for *_, other in cameras.terms(stated)))) for stated, seen in ones):
+        return []  # lenses of which nothing was known: one of them resembles a term exchanged by chance
+    for stated, seen in ones:
         off = cameras.bend(stated, seen)
         ways = {(what, do): cameras.bend(other, seen) for what, do, other in cameras.terms(stated)}
         named = min(ways, key=lambda way: ways[way], default=None)
