@@ -129,7 +129,7 @@ def test_an_unlikely_thing_is_a_remark(good, tmp_path):
 
 def test_measuring_says_first_how_well(good, tmp_path):
     text = said("measure", good("corners"), "--out", tmp_path / "out")[1]
-    assert text.splitlines()[0].startswith("measured: 60 of 60 frames")
+    assert text.splitlines()[0].startswith("good: 60 of 60 frames solved")
     assert "hardly told apart (" not in text and "hardly told apart (" in (tmp_path / "out" / "report.html").read_text()
 
 
