@@ -60,6 +60,15 @@ def test_order_count_space_and_part_are_kept(first, capsys):
     assert main(["workspace", str(base / "three.json")]) == 0
 
 
+def test_a_pass_that_leaves_less_than_noise_has_a_claim_that_is_read_again(first, tmp_path, capsys):
+    base, two, one = first
+    calibrated(tmp_path / "two.json", two, "--extend", "radial", "--onto", one)
+    claim = json.loads((tmp_path / "two.json").read_text(), parse_constant=pytest.fail)["claim"]
+    assert claim["ratio"] is not None and claim["after"][0][1] < claim["after"][0][2]
+    (tmp_path / "wanted.csv").write_text("frame,x,y,z,rx,ry,rz\n0,0,0,0.44,0,0,0\n")
+    assert main(["correct", str(tmp_path / "two.json"), "--poses", str(tmp_path / "wanted.csv"), "--out", str(tmp_path / "c.csv")]) == 0
+
+
 @pytest.mark.parametrize("words, says", [("--space pose", "name with --onto"), ("--onto ONE --within l7=0:1", "--within takes NAME=LOW:HIGH"),
                                          ("--onto ONE --within l1=1:0", "low below high"), ("--onto ONE --within l1", "not 'l1'"),
                                          ("--onto ONE --within x=0:0.1", "bounded by the axes"),

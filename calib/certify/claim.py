@@ -28,6 +28,7 @@ from rig.pose import difference
 PLACES = 128  # of the workspace
 DRAWS = 1000
 TRUSTED = 20  # degrees of freedom that the poses' stated covariance is worth beside what their residuals say of it
+LEAST_ERROR = 1e-12  # m, below which no error counts
 EDGES = (0.5, 0.025, 0.975)
 
 
@@ -54,6 +55,12 @@ class Claim:
     measured: tuple[float, ...] | None
     reason: str | None = None
     unexplained: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("before", "after", "ratio", "measured"):
+            values = getattr(self, name)
+            if values is not None and not np.isfinite(values).all():
+                raise ValueError(f"{name} of a claim is {values}, expected finite figures, or None where none is claimed")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +111,9 @@ def concluded(before: np.ndarray, after: np.ndarray, words: str, samples: Sample
     if samples.common.shape[2]:
         shared = samples.common[:, :3] @ rng.normal(size=(samples.common.shape[2], count))
         seen = seen + (shared**2).sum(axis=1).mean(axis=0)
-    ratio = np.sqrt(before[:, 0] / after[:, 0])
-    measured = np.sqrt((before[:, 0] + seen) / (after[:, 0] + seen))
+    least = max(float(seen.mean()) / len(samples), LEAST_ERROR**2)  # the mean square that so many poses' noise leaves unnoticed
+    ratio = np.sqrt(np.maximum(before[:, 0], least) / np.maximum(after[:, 0], least))
+    measured = np.sqrt((np.maximum(before[:, 0], least) + seen) / (np.maximum(after[:, 0], least) + seen))
     return Claim(*told, words, _both(before), _both(after), _three(ratio), _three(measured))
 
 

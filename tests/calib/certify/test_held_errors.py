@@ -1,5 +1,7 @@
 """Claims from what was held out: intervals hold the truth where something is left out that no model has, and have a width where nothing is fitted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from calib.arms import model
 from calib.arms.certify import certify as certify_arm
 from calib.arms.certify import promised as promised_arm
 from calib.certify.calibration import Calibration
-from calib.certify.claim import PLACES
+from calib.certify.claim import PLACES, Told, concluded
 from calib.certify.extended import Asked, certify_extended, promised_alone
 from calib.certify.held_errors import HeldErrors
 from calib.certify.onto import Pass, certify_onto
@@ -41,6 +43,15 @@ def test_noise_that_explains_all_leaves_nothing_and_what_was_not_measured_is_not
     held = HeldErrors(squares, np.column_stack([np.full(20, 3.0), np.full(20, np.nan)]))
     draws = held.draws(1000, np.random.default_rng(0))
     assert held.beyond().tolist() == [0.0, 0.0] and (draws[:, 1] == 0).all() and np.quantile(draws[:, 0], 0.975) < 3.0
+
+
+@pytest.mark.parametrize("owners", [0.0, 1e-9])
+def test_a_factor_is_finite_where_noise_explains_all_that_is_left(design, owners):
+    samples, _ = sampled(design, 0, 10, None)
+    claim = concluded(np.full((100, 2), owners), np.zeros((100, 2)), "here", samples, Told(10, 0, 0, 0, ""), np.random.default_rng(0))
+    assert np.isfinite([claim.ratio, claim.measured]).all() and claim.after[0] == (0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="ratio of a claim"):
+        replace(claim, ratio=(1.0, np.nan, np.nan))
 
 
 @pytest.mark.parametrize("way", ["alone", "onto"])
