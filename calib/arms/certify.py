@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.arms import model, profile
 from calib.arms.correction import ArmCorrection
-from calib.arms.identify import Identified, identify, needed, parameters
+from calib.arms.identify import GATE, Identified, identify, needed, parameters
 from calib.arms.observations import KINDS, Observations, of_samples
 from calib.arms.place import placed
 from calib.arms.rank import PLAUSIBLE
@@ -18,6 +18,7 @@ from calib.certify.held_errors import HeldErrors, held_errors
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, extension_scatter, too_few
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
+from calib.identify.robust import CONSISTENT, MOST, wild_rows
 from calib.samples import Samples
 from rig.design import Arm, Instrument
 from rig.plan import FILL, low_discrepancy
@@ -77,20 +78,32 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
         return Certified(correction, found, label, None, None, None)
     in_part, asked = samples.measured in UNPLACED, physics is not None
     ways = [_Way(asked, profiles) for profiles in ((False,) if in_part else (False, True))] + [_Way(False, False)] * asked
-    errors = dict(zip(ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said)))
+    good = _counted(found, samples)
+    kept, of_kept = samples.take(good), label[good]
+    errors = {way: (before[good], after[good]) for way, (before, after) in
+              zip(ways, _held_out((samples, physics), nominal, instrument, (parts, start), ways, said))}
     plain = errors[ways[0]]
     full = plain if in_part else errors[ways[1]]
     scale = 1.0 if in_part else _spread(plain[1])
     loss = [np.nansum((e / scale) ** 2, axis=1) for e in (plain[1], full[1])]
     profiled = not in_part and pays(loss[0] - loss[1])
     rows = rng.permutation(np.arange(len(samples)) % (parts.max() + 1))
-    (scattered,) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
+    ((before, after),) = _held_out((samples, physics), nominal, instrument, (rows, start), [_Way(asked, profiled)], said)
     if profiled:
         correction, found = _profiled(known, correction, found)
-    covariance, best = samples.total_covariance(), full if profiled else plain
-    held, drawn, bare = (compare(*each, covariance, rng, label) for each in (best, scattered, errors[_Way(False, False)]))
-    left = held_errors(best[1] - shared_errors(samples, found.shared), samples, label, 0.0, _by_parameters(samples, correction, found, parts))
+    covariance, best = kept.total_covariance(), full if profiled else plain
+    held, drawn, bare = (compare(*each, covariance, rng, of_kept) for each in (best, (before[good], after[good]), errors[_Way(False, False)]))
+    left = held_errors(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, _by_parameters(kept, correction, found, parts[good]))
     return Certified(correction, _as_stated(_as_held_out(found, left), samples.measured), label, held, drawn, bare, left)
+
+
+def _counted(found: Identified, samples: Samples) -> np.ndarray:
+    """(n,) bool, samples that count where they are held out: all but those that agree with no geometry and no neighbour, where these are few."""
+    sigma = np.sqrt(np.einsum("mkk->mk", of_samples(samples).covariance) + found.scatter**2)
+    relative = found.residuals / sigma
+    relative = relative / np.maximum(1.0, CONSISTENT * np.median(np.abs(relative), axis=0))
+    wild = ~found.inliers & wild_rows(relative, samples.t, samples.commanded, GATE)
+    return ~wild if wild.mean() <= MOST else np.ones(len(samples), bool)
 
 
 def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ SURELY = 0.9  # probability of a function of place beside everything else from w
 @dataclass(frozen=True, slots=True, eq=False)
 class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
-    held_out : HeldOut, whole stretches of configurations in turn, or None for fewer than configurations.LEAST of them
+    held_out : HeldOut, whole stretches of configurations in turn, wild poses left out, or None for fewer than configurations.LEAST of them
     machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their parameters and
     strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction"""
 
@@ -82,19 +82,20 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     sizes = _sizes(samples, first, rng)
     correction, found = calibrate(samples, nominal, alone=alone, only=sizes.of_place() > SURELY)
     said("fitting the geometry", 1, 1)
-    like, covariance = correction.remainder, samples.total_covariance()
+    like, good = correction.remainder, sizes.inliers
+    covariance = samples.total_covariance()[good]
 
     def corrections(some: Samples) -> list[Correction[Struts, Radial]]:
         known = geometry(some, nominal, alone)
         return [calibrate(some, nominal, how, alone=known)[0] for how in (("none", like) if any(like) else ("none",))]
 
-    before, after, *more = in_turn(samples, label, corrections, said)
-    done = replace(first, held_out=compare(before, after, covariance, rng, label))
+    before, after, *more = [errors[good] for errors in in_turn(samples, label, corrections, said)]
+    done = replace(first, held_out=compare(before, after, covariance, rng, label[good]))
     if more:
         weight = precision(covariance)
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if pays(loss[0] - loss[1]):
-            done = Certified(correction, found, label, compare(before, more[0], covariance, rng, label))
+            done = Certified(correction, found, label, compare(before, more[0], covariance, rng, label[good]))
     return _with_machines(samples, done, sizes, rng)
 
 

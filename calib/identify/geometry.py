@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from calib.identify import closed_loop, planar_loop
 from calib.identify.least_squares import Fit, Linear, fit
+from calib.identify.robust import MOST, robust_fit
 from calib.samples import Samples
 from rig.errors import NotEnoughData, RigError
 from rig import mechanisms
@@ -27,6 +28,7 @@ PRIOR = 5e-3  # m; how far a joint or a zero may be from where its owner states 
 ROUNDS = 8  # of weighing struts and poses anew; one that still wavers then stays as it was
 LEAST = 7  # poses from which struts may scatter, and on which a geometry must stand where there are so many
 GATE = 6.0  # standard deviations of one strut's closure beyond which a pose is left out
+ROWS = 4  # poses for each parameter of a strut's loop, from which a robust start is taken
 EXCESS = 3.0  # standard deviations of chance that scatter must exceed before it counts as the struts'
 NAMES = {"hexapod": (*(f"{plate} joint {i + 1} {axis}" for plate in ("base", "platform") for i in range(6) for axis in "xyz"),
                      *(f"zero of strut {i + 1}" for i in range(6))),
@@ -85,7 +87,7 @@ def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None
     p = parameters(nominal if near is None else near.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
-    inliers, spent = np.ones(len(samples), bool), len(p) // len(nominal.axes)
+    inliers, spent = loops.agreeing(p), len(p) // len(nominal.axes)
     scatter = np.zeros(len(nominal.axes)) if near is None else near.scatter
     for _ in range(ROUNDS):
         found = loops.fit(p, inliers, scatter)
@@ -128,6 +130,20 @@ class Loops:
             raise RigError(f"frame {self.samples.frame[bad]}: the commanded lengths {self.lengths[bad].round(6).tolist()} m close on no pose, "
                            "or its covariance is none")
         return Linear(right[..., 0], J, right[..., 1:])
+
+    def agreeing(self, p: np.ndarray) -> np.ndarray:
+        """(n,) bool, poses that a robust fit of each strut's loop about parameters p (p,) does not find far off, from which a fit may start; all
+        where poses are too few for that, or too many are far off."""
+        T, geometry, every = self.samples.T_base_platform, with_parameters(self.nominal, p), np.ones(len(self.lengths), bool)
+        A, loops = strut_jacobian(T, geometry), loop_jacobian(T, geometry)
+        left = self.lengths - mechanisms.of(geometry).inverse(T, geometry)
+        sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
+        own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]
+        if len(every) < ROWS * max(columns.shape[1] for columns in own):
+            return every
+        found = robust_fit([((left[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]) for i, columns in enumerate(own)])
+        near = (np.abs(found.residual) < GATE * np.maximum(1.0, found.scale)).all(axis=1)
+        return near if (~near).mean() <= MOST else every
 
     def closure(self, found: Fit) -> tuple[np.ndarray, np.ndarray]:
         """(n, axes) m what each strut's loop leaves at the fit, shared errors taken out, and its covariance (n, axes, axes) m^2 from the poses'."""

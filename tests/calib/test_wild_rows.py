@@ -6,13 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnose.engine.wild import MOST, robust_fit, wild_rows
+from calib.arms.certify import certify as arm_certify
+from calib.arms.certify import promised as arm_promised
+from calib.certify.certificate import certify, promised
 from calib.diagnose.problems.arm.diagnose import diagnose as arm_diagnose
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.report.arm import report as arm_report
 from calib.diagnose.report.page import diagnosis_page, judged
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
+from calib.identify.robust import MOST, robust_fit, several, wild_rows
+from calib.pipeline import sample_recording
 from rig import masking, recording
 from rig.judgement import State
 from tests.calib import arm_worlds
@@ -130,3 +134,32 @@ def test_names_are_those_of_the_recording_without_wild_rows(tmp_path, design, se
         assert names(diagnose(clean)) == expected
         for mask in masks(frames, rng, 3):
             assert names(diagnose(masking.masked(bad, mask))) == expected
+
+
+def test_what_one_strut_does_alone_is_not_wild():
+    left = np.random.default_rng(2).normal(size=(40, 6))
+    left[7, 2] = 15.0
+    left[9] += 15.0
+    assert np.flatnonzero(several(left, 7.0)).tolist() == [9]
+
+
+def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, design):
+    """A recording whose fit would not even close from a start that wild poses weigh in."""
+    bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
+    some, without = (sample_recording(rec).samples for rec in (bad, masking.masked(bad, ",".join(map(str, frames)))))
+    made, expected = (certify(samples, design.mechanism, np.random.default_rng(0)) for samples in (some, without))
+    assert sorted(some.frame[~made.found.inliers]) == frames.tolist()
+    assert made.held_out.after.position == pytest.approx(expected.held_out.after.position, rel=0.05)
+    assert promised(some, made, np.random.default_rng(0)).after[0] == pytest.approx(promised(without, expected, np.random.default_rng(0)).after[0])
+
+
+def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):
+    rng = np.random.default_rng(0)
+    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 120, rng))
+    bad, frames = spoilt_poses(recording.load(tmp_path / "rec"), rng)
+    some, without = (sample_recording(rec) for rec in (bad, masking.masked(bad, ",".join(map(str, frames)))))
+    made, expected = (arm_certify(s.samples, UR10, s.instrument, np.random.default_rng(0)) for s in (some, without))
+    assert sorted(some.samples.frame[~made.found.inliers]) == frames.tolist()
+    assert made.held_out.after.position[0] == pytest.approx(expected.held_out.after.position[0], rel=0.2)
+    claims = [arm_promised(s.samples, done, np.random.default_rng(0)).after[0][0] for s, done in ((some, made), (without, expected))]
+    assert claims[0] == pytest.approx(claims[1], rel=0.5)

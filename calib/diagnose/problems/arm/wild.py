@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arms.scatter import MIDDLE
-from calib.diagnose.engine.wild import MOST, Crowd, LeftOut, robust_fit, wild_rows
+from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.problems.arm.poses import Arms
 from calib.diagnose.problems.histories import cosines, speed
+from calib.identify.robust import MOST, robust_fit, wild_rows
 
 GROSS, GATE = 20.0, 7.0  # times the scatter of the others, from which a pose may be wild before anything is admitted, and after
 SLOW = 4  # cosines of time that are free at each joint

@@ -8,10 +8,11 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.diagnose.engine.wild import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, Crowd, LeftOut, robust_fit, wild_rows
+from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.problems.histories import cosines, speed, unit
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
 from calib.identify.geometry import loop_jacobian, strut_jacobian
+from calib.identify.robust import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, robust_fit, several, wild_rows
 from rig.recording import PAYLOAD
 from vision.observations import only
 
@@ -89,7 +90,7 @@ def without(point: OperatingPoint, wild: Wild) -> OperatingPoint:
 
 
 def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Wild:
-    """Wild of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly."""
+    """Wild of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut."""
     m, closures = k.platform, k.closures()
     A, loops, smooth = strut_jacobian(k.T, m), loop_jacobian(k.T, m), _smooth(k)
     sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
@@ -100,7 +101,7 @@ def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Wild:
         columns = np.column_stack([own, smooth[:, i, :free]])
         parts.append(((closures[:, i] / sigma[:, i])[:, None], (columns / sigma[:, i, None])[:, None]))
     found = robust_fit(parts)
-    far = wild_rows(found.relative, k.t, k.commanded.at(k.t), GATE)
+    far = wild_rows(found.relative, k.t, k.commanded.at(k.t), GATE) & several(found.relative, GATE)
     if far.sum() > MOST * len(far):
         return Wild(crowd=Crowd("frames", int(far.sum()), len(far)))
     told = []
