@@ -51,6 +51,7 @@ def test_the_map_is_said_and_written(kept, tmp_path, capsys):
     said = capsys.readouterr().out
     assert f"{made.workspace.lost * 100:.2f} % of the poses" in said and "position 40 to 50 um, rotation 100 urad" in said
     tree = json.loads((tmp_path / "map" / "workspace.json").read_text())
+    assert tree["verdict"]["state"] == "check" and said.startswith("check: ") and "poses are lost" in tree["verdict"]["why"]
     assert tree["schema"] == "workspace/1" and tree["lost"] == made.workspace.lost and "turned like home" in tree["room_of"]
     rows = table.read(tmp_path / "map" / "workspace.csv", ("x", "y", "z", "lost"))
     assert rows.matrix(("lost",)).sum() == made.workspace.lost_in.sum()

@@ -23,6 +23,7 @@ def test_by_hand_it_writes_what_is_to_be_done_and_waits(rig, tmp_path, capsys):
     assert main([*words, "--resume", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["schema"] == "investigated/1" and not told["looks"] and not told["ended"] and "to do: carry out" in told["waiting"]
+    assert told["verdict"] is None  # nothing is recorded yet
     assert main([*words, "--resume", "--quiet"]) == 0 and capsys.readouterr().out == ""
     assert (tmp_path / "out" / "plan1.csv").read_bytes() == plan
     assert main([*words, "--resume"]) == 0 and (tmp_path / "out" / "plan1.csv").read_bytes() == plan

@@ -270,10 +270,11 @@ def _unblinded(out: Path, index: int, score: ModuleType) -> Case:
 
 def _report(out: Path, settings: dict, cases: list[Case], score: ModuleType) -> dict:
     """What is in score.json, which is written and said, and its page."""
-    from rig.commands.blind_page import campaign_page, tree
+    from rig.commands.blind_page import campaign_page, judged, tree
     from rig.files import write_text
 
     told = {"settings": settings, **tree(cases)}
+    print(judged(score.figures(cases)).line)
     write_text(out / "score.json", json.dumps(told, indent=1) + "\n")
     campaign_page(out / "score.html", settings, cases)
     for f in score.figures(cases):

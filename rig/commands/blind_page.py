@@ -25,8 +25,8 @@ OUTCOMES = ("named and placed", "named", "allowed", "taken for another", "unknow
 
 
 def tree(cases: list[Case]) -> dict:
-    """{figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
-    return {"figures": [asdict(f) for f in score.figures(cases)],
+    """{verdict, figures, medians, by_effect, by_strength, confusion, cases} of Cases."""
+    return {"verdict": judged(score.figures(cases)).tree(), "figures": [asdict(f) for f in score.figures(cases)],
             "medians": {name: None if math.isnan(value) else value for name, value in score.medians(cases).items()},
             "by_effect": _rows(score.by_effect(cases)), "by_strength": _rows(score.by_strength(cases)), "confusion": score.confusion(cases),
             "cases": [{"case": c.index, "kind": c.kind, "disturbance": c.disturbance, "failed": c.failed, "seconds": c.seconds,

@@ -57,6 +57,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> int:
     """Plan, record, diagnose, and again, until nothing is alike or the budget ends; then calibrate, verify and certify."""
     from calib.experiment.record import looks
+    from calib.experiment.timeline import judged
     from rig import design_file
 
     design = design_file.load(arguments.design)
@@ -87,6 +88,7 @@ def run(arguments: Namespace) -> int:
         return 0
     arguments.result = _result(so_far, ended, after)
     _tell(arguments, so_far, ended, after)
+    print(judged(so_far, ended).line)
     print(f"{ended}; look at {arguments.out / 'notebook.html'}")
     return 0
 
@@ -95,7 +97,11 @@ def _result(so_far: list[Look], ended: str, after: tuple[str, ...], waiting: str
     """What --json prints. ended : why, "" while it goes on; after : what was made at the end, in lines; waiting : for whom and what, or None"""
     from dataclasses import asdict
 
-    return {"schema": "investigated/1", "ended": ended, "waiting": waiting, "looks": [asdict(look) for look in so_far], "after": list(after)}
+    from calib.experiment.timeline import judged
+
+    verdict = judged(so_far, ended).tree() if so_far else None
+    return {"schema": "investigated/1", "verdict": verdict, "ended": ended, "waiting": waiting, "looks": [asdict(look) for look in so_far],
+            "after": list(after)}
 
 
 def _begin(arguments: Namespace, rig: Rig) -> None:

@@ -29,6 +29,7 @@ def arguments(parser: ArgumentParser) -> None:
 def run(arguments: Namespace) -> None:
     """Say what a calibration does to the workspace, and write its map."""
     from calib import store
+    from calib.pages.workspace import judged
     from calib.pose_covariance import with_workspace
     from calib.workspace import words
     from calib.workspace.cells import turned_home
@@ -47,12 +48,13 @@ def run(arguments: Namespace) -> None:
     assert w is not None
     certified = None if arguments.certificate is None else _certified(arguments.certificate, arguments.calibration, w)
     unit = mechanisms.unit(correction.nominal)
-    print("\n".join(words.lines(w, unit)))
+    verdict = judged(w, words.lines(w, unit)[0].removeprefix("workspace: "))
+    print("\n".join([verdict.line, *words.lines(w, unit)]))
     if certified is not None:
         print(words.certified_line(certified))
     if correction.extension is not None or any(correction.remainder):
         print("beyond the recorded configurations what is corrected on top of the geometry is extrapolated; its bound grows there")
-    arguments.result = {**workspace_out(w), "room_of": turned_home(correction)}
+    arguments.result = {"verdict": verdict.tree(), **workspace_out(w), "room_of": turned_home(correction)}
     if arguments.out is not None:
         _write(arguments, w, unit, turned_home(correction), certified)
 
@@ -61,13 +63,13 @@ def _write(arguments: Namespace, w: Workspace, unit: str, room_of: str, certifie
     """Write the map as data, as a table and as a page."""
     import json
 
-    from calib.workspace.file import COLUMNS, workspace_out, workspace_rows
+    from calib.workspace.file import COLUMNS, workspace_rows
     from calib.pages.workspace import workspace_page
     from rig.files import write_text
     from rig.writing import write_table
 
     folder = arguments.outputs.folder(arguments.out)
-    write_text(folder / "workspace.json", json.dumps({**workspace_out(w), "room_of": room_of}, allow_nan=False) + "\n")
+    write_text(folder / "workspace.json", json.dumps(arguments.result, allow_nan=False) + "\n")
     write_table(folder / "workspace.csv", COLUMNS, workspace_rows(w))
     workspace_page(folder / "workspace.html", arguments.calibration.name, w, unit, room_of, certified,
                    near(arguments, arguments.out / "workspace.html"))

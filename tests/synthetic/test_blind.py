@@ -219,7 +219,8 @@ def test_strength_is_the_signal_after_calibration_has_had_its_share(design, rig_
 def test_a_campaign_end_to_end(tmp_path, capsys):
     assert cli.main(["blind", "--season", "3", "--frames", "80", "--hide", "one", "--effects", "backlash,missed_steps",
                      "--out", str(tmp_path / "s"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["schema"] == "campaign/1"
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema"] == "campaign/1" and told["verdict"]["state"] == "check"
     tree = json.loads((tmp_path / "s" / "score.json").read_text())
     strong = [h["outcome"] for t in tree["cases"] for h in t["hidden"] if h["strength"] > 15]
     assert len(tree["cases"]) == 3 and all(outcome == "named and placed" for outcome in strong)
