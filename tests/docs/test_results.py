@@ -13,7 +13,8 @@ PAGES = [path for path in (*sorted((ROOT / "docs").rglob("*.md")), ROOT / "READM
 LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./|docs/)*results\.md#([\w-]+)\)")
 GENERAL = {"results", "figures"}  # words of links that state no figure
 MEASURED = (r"\b\d+ of (?!255\b)(?:the |a )?\d+\b", r"\b[\d.]+ (?:and [\d.]+ )?times as (?:fast|quick|long)", r"\bmillionth\b",
-            r"\bcampaign of \d+", r"\bmedians? of\b", r"\b[\d.]+ (?:s|min|ms) of one core", r"\bfalse alarms? in \d", r"\bof processor time\b")
+            r"\bcampaign of \d+", r"\bmedians? of\b", r"\b[\d.]+ (?:s|min|ms) of one core", r"\bfalse alarms? in \d", r"\bof processor time\b",
+            r"\| [\d.]+ %? ?\|")
 
 
 def prose(path: Path) -> str:
