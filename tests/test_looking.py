@@ -184,7 +184,7 @@ def test_a_terminal_says_what_happened(design):
     assert text.count("moving to step") == 6 and text.count("! camera") == 1 and "[6/6] ended: stopped from the page" in text
     assert "frame 5: 0.000 0.000 450.000 mm" in text and "\x1b" not in text
     lines = block(looking.view)
-    assert lines[0].startswith("frame 6 of 6, step 7 of 7") and sum(line.startswith("strut") for line in lines) == 6 and "! camera" in lines[-1]
+    assert lines[0].startswith("frame 6 of 6, step 7 of 13") and sum(line.startswith("strut") for line in lines) == 6 and "! camera" in lines[-1]
     assert screen.getvalue().count("\x1b[J") > 6 and f"\x1b[{len(lines)}A" in screen.getvalue()
 
 

@@ -19,6 +19,7 @@ from calib.online.change_detection import SUSPECT, Change, changes
 from calib.online.square_root import WINDOW, Machine, Pose
 from calib.online.state import AGAIN, Start, State, evidence, fresh, learnt, linearised_again, other_session, reopened
 from rig.design import Hexapod
+from rig.errors import RigError
 
 LARGEST = 6  # changes at one pose
 EARLY = 2  # times that the first poses are linearised again before what they seem to show is believed
@@ -141,8 +142,11 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
             innovation = state.innovation
     told: tuple[Change, ...] = ()
     while found and len(told) < LARGEST:
+        try:
+            state = reopened(state, found, start)
+        except RigError:  # with these changes the machine closes on no pose: they explain nothing, and the pose waits
+            break
         told += found
-        state = reopened(state, found, start)
         found, innovation = changes(evidence(state)), state.innovation
     if not told and (waiting or state.square > SUSPECT):
         held = (*waiting, pose)

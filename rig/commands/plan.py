@@ -14,7 +14,6 @@ from rig.number import number, whole
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.confounds import Confounds
     from calib.identify.d_optimal import Avoided
     from rig.design import Arm, Chain, Design, Free, Hexapod, Planar2
 
@@ -64,8 +63,11 @@ def run(arguments: Namespace) -> None:
     asked = _promise if arguments.promise else _separate if arguments.separate else _parts if arguments.parts else PURPOSES[arguments.purpose]
     made = asked(arguments)
     from calib.certify.evidence import separable
+    from calib.confounds import of_configurations
+    from rig.plan import strokes_of
 
-    confounds = None if arguments.separate or not len(made.values) else _confounds(made)
+    confounds = None if arguments.separate or not len(made.values) else of_configurations(
+        made.values, strokes_of(made.design).mean(axis=1), made.design.mechanism)
     unseen = (Missing("not all that is asked becomes visible"),) if made.state != "good" else ()
     verdict = judge(Evidence(made.why, missing=unseen, confounds=separable(confounds)))
     print("\n".join(filter(None, [*made.said, *([] if confounds is None else [confounds.line()])])))
@@ -81,14 +83,6 @@ def run(arguments: Namespace) -> None:
     kept = ", which stays as it was" if arguments.out.is_file() else ""
     written = f"written: {arguments.out}" if len(made.values) else f"nothing is written to {arguments.out}{kept}"
     print(written + (f"; look at {arguments.page}" if page else ""))
-
-
-def _confounds(made: Made) -> Confounds:
-    """Confounds of a plan's configurations, visited in their order."""
-    from calib.confounds import of_configurations
-    from rig.plan import strokes_of
-
-    return of_configurations(made.values, strokes_of(made.design).mean(axis=1), made.design.mechanism)
 
 
 def _promise(arguments: Namespace) -> Made:

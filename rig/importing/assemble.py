@@ -15,17 +15,16 @@ from rig.files import write_bytes
 from rig.images import check_image
 from rig.importing import columns, frames, times, units
 from rig.importing.calibrations import onto
+from rig.importing.clocks import require_one_clock, seconds_from
 from rig.importing.commands import Commanded, commands
 from rig.importing.dialect import read
 from rig.importing.frames import Exposed
 from rig.importing.poses import Posed, poses
 from rig.importing.recipe import Recipe, ForeignTable
 from rig.importing.sensors import Logged, sensors
-from rig.mistakes.standing import standing_shift
 from rig.observed import Poses
 from rig.origin import DIGITS
 from rig.outside import read_bytes, read_text
-from rig.recording import LAST_DWELL
 from rig.writing import write_poses, write_table
 
 LARGEST_IMAGE_FILE = 1 << 31  # bytes
@@ -91,7 +90,7 @@ def assemble(recipe: Recipe, skip_unreadable: bool = False) -> Imported:
         raise RigError("there is nothing that was seen")
     commanded = _clocked(exposed, commanded)
     logged = sensors(recipe.sensors, _like(exposed.t)) if recipe.sensors else None
-    _together(exposed, commanded)
+    require_one_clock(exposed, commanded)
     recipe = replace(recipe, images=exposed.images if recipe.images else None, commands=commanded.table if commanded else None,
                      poses=posed.table if posed else None, sensors=logged.table if logged else None)
     said = (*of_cameras, *dict.fromkeys(line for part in (commanded, exposed, posed, logged) if part for line in part.said))
@@ -195,7 +194,7 @@ def _commanded(exposed: Exposed | None, commanded: Commanded | None, t: list[Dec
         return commanded.values if len(commanded.values) == n else None
     if min(t) < commanded.t[0] or max(t) > commanded.t[-1] + (commanded.t[-1] - commanded.t[0]) / 2:
         return None
-    at, rows = (_seconds(times_of, commanded.t[0]) for times_of in (t, commanded.t))
+    at, rows = (seconds_from(times_of, commanded.t[0]) for times_of in (t, commanded.t))
     return np.stack([np.interp(at, rows, column) for column in commanded.values.T], axis=1)
 
 
@@ -245,31 +244,6 @@ def _clocked(exposed: Exposed, commanded: Commanded | None) -> Commanded | None:
         raise RigError(f"{commanded.table.file} has no times, and {len(commanded.values)} rows for {len(at)} frames; "
                        "state which column says when with --set 'commands.columns.t=HEADER'")
     return replace(commanded, t=list(at.values()), said=(*commanded.said, f"the rows of {commanded.table.file.name} are the frames', in order"))
-
-
-def _together(exposed: Exposed, commanded: Commanded | None) -> None:
-    """Raise RigError where frames and commands are on different clocks."""
-    if commanded is None or commanded.t is None:
-        return
-    t = sorted(set(exposed.times()))
-    section = "images" if any(exposed.camera) else "poses"
-    first, last = commanded.t[0], commanded.t[-1]
-    after = sum(s > last for s in t)
-    if t[0] >= first and (after <= 1 or after <= LAST_DWELL * len(t)):
-        return
-    clash = f"frames and commands are on different clocks: frames run from {t[0]:f} to {t[-1]:f} s, commands from {first:f} to {last:f} s"
-    standing = standing_shift(_seconds(t, first), _seconds(commanded.t, first), commanded.values)
-    if standing is not None:
-        raise RigError(f"{clash}; --set {section}.shift={standing.shift:.3f} is what puts {standing.frames} of {len(t)} frames where the commands "
-                       f"stand still, the middle of what does, +-{standing.room:.2g} s")
-    by = first - t[0]
-    raise RigError(f"{clash}; state the unit or what is to be added: --set {section}.shift={by:.6f} brings the first frame to the first command"
-                   "; --set commands.shift=S moves the commands")
-
-
-def _seconds(t: list[Decimal], origin: Decimal) -> np.ndarray:
-    """(n,) s from an origin."""
-    return np.array([float(DIGITS.subtract(one, origin)) for one in t])
 
 
 def write(imported: Imported, out: Path) -> None:

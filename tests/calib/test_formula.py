@@ -21,7 +21,8 @@ from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.formulas import suggestions
 from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.problem import PlatformProblem
-from calib.diagnose.report.page import _suggestions, to_do
+from calib.diagnose.report.judgement import to_do
+from calib.diagnose.report.page import _suggestions
 from calib.diagnose.report.schema import FitEntry, Report, suggestion_entries, write
 from rig import design_file, json_file
 from rig.cli import main

@@ -14,7 +14,7 @@ from synthetic import out_of_catalogue, simulation, world
 from tests.calib.physical import measured_by
 from tests.calib.recorded import recorded
 
-PLAN = "sobol:15,moving:15,ladder:3,axes:8,ladder:2,moving:15"
+PLAN = "ladder:3,sobol:15,moving:15,wait:60,ladder:3,axes:8,moving:15"  # the wait parts the way travelled from time and temperatures
 
 
 @pytest.fixture(scope="module")

@@ -73,12 +73,16 @@ def against(report: Report, of: Marks, paths: Iterable[Path]) -> list[tuple[Path
 
 
 def _beyond(left: list[FindingEntry], tree: dict) -> tuple[State, float | None]:
-    """(BAD where what findings explain is larger than what is claimed, that claim m or None)."""
-    after = (tree.get("claim") or {}).get("after")
+    """(BAD where what findings explain is larger than what is claimed and the claim leaves nothing unexplained, that claim m or None).
+
+    A claim that names what it leaves unexplained has that in its interval: a finding then gives it its name, and refutes nothing
+    """
+    claim = tree.get("claim") or {}
+    after = claim.get("after")
     claimed = float(after[0][2]) if after else None
     sizes = [math.sqrt(max(f.evidence.heldout_before**2 - f.evidence.heldout_after**2, 0.0)) for f in left
              if f.evidence.unit == "m" and f.evidence.heldout_before is not None and f.evidence.heldout_after is not None]
-    return (State.BAD if claimed is not None and sizes and max(sizes) > claimed else State.CHECK), claimed
+    return (State.BAD if not claim.get("unexplained") and claimed is not None and sizes and max(sizes) > claimed else State.CHECK), claimed
 
 
 def _calibration(path: Path) -> dict | None:
