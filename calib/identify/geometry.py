@@ -87,10 +87,16 @@ def identify(samples: Samples, nominal: Struts, offset: np.ndarray | None = None
     p = parameters(nominal if near is None else near.mechanism)
     prior = np.full(len(p), PRIOR) if prior is None else np.asarray(prior, float)
     loops = Loops(samples, lengths, nominal, prior)
-    inliers, spent = loops.agreeing(p), len(p) // len(nominal.axes)
+    inliers, spent = np.ones(len(samples), bool), len(p) // len(nominal.axes)
     scatter = np.zeros(len(nominal.axes)) if near is None else near.scatter
-    for _ in range(ROUNDS):
-        found = loops.fit(p, inliers, scatter)
+    for turn in range(ROUNDS):
+        try:
+            found = loops.fit(p, inliers, scatter)
+        except RigError:  # wild poses may lead where no loop closes; a start without them leaves out what a few poses alone show as well
+            inliers = loops.agreeing(p)
+            if turn or inliers.all():
+                raise
+            found = loops.fit(p, inliers, scatter)
         p = found.parameters
         left, S = loops.closure(found)
         new_scatter, new_inliers = _scatter(left, S, inliers, spent), _inliers(left, S, scatter)

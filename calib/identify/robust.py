@@ -44,7 +44,7 @@ def robust_fit(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> Robust:
         scale = np.concatenate([np.full(residual.shape[1], 1 / np.sqrt(share)) for (residual, _), share in zip(parts, free)])
         scale = np.maximum(scale * CONSISTENT * np.median(np.abs(left), axis=0), 1e-300)
         far = np.abs(left / scale).max(axis=1)
-        weight = np.minimum(1.0, HUBER / np.maximum(far, 1e-12)) if turn < ROUNDS else np.maximum(1 - (far / TUKEY) ** 2, 0.0) ** 2
+        weight = np.minimum(1.0, HUBER / np.maximum(far, 1e-12)) if turn < ROUNDS else (1 - np.minimum(far / TUKEY, 1.0) ** 2) ** 2
     return Robust(left, scale)
 
 
