@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from calib.certify.calibration import Calibration as Calibration
     from calib.commands import Commanded as Commanded
     from calib.commands import commanded as commanded
-    from calib.diagnose.report.schema import Report as Report
+    from calib.diagnose.report.report import Report as Report
     from calib.from_recordings import calibrated as calibrated
     from calib.from_recordings import certified as certified
     from calib.from_recordings import diagnosed as diagnosed

@@ -15,7 +15,7 @@ from calib.diagnose.problems.arm.diagnose import diagnose as diagnose_arm
 from calib.diagnose.problems.platform.diagnose import diagnose as diagnose_platform
 from calib.diagnose.report import arm as arm_report
 from calib.diagnose.report import platform as platform_report
-from calib.diagnose.report.schema import Report
+from calib.diagnose.report.report import Report
 from calib.kept import SEED, kept
 from calib.pipeline import Sampled, sample_recording
 from calib.statement import certificate as statement

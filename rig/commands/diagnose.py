@@ -16,7 +16,7 @@ from rig.judgement import State
 
 if TYPE_CHECKING:
     from calib.diagnose.engine.given import Given
-    from calib.diagnose.report.schema import Report
+    from calib.diagnose.report.report import Report
     from calib.store import Calibration
     from rig.recording import Recording
 
@@ -122,9 +122,9 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
                     own=known.own)
-    refuted = _against(arm.report(found), recording, arguments)
-    report = replace(arm.report(found), refuted=refuted)
-    arm.save(out, found, recording, refuted)
+    report = arm.report(found)
+    report = replace(report, refuted=_against(report, recording, arguments))
+    arm.save(out, found, recording, report)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.of_arms import arm_questions
@@ -142,9 +142,9 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
 
     found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given,
                              kinds=known.kinds), said=_said(arguments), own=known.own)
-    refuted = _against(platform.report(found), recording, arguments)
-    report = replace(platform.report(found), refuted=refuted)
-    platform.save(out, found, recording, refuted)
+    report = platform.report(found)
+    report = replace(report, refuted=_against(report, recording, arguments))
+    platform.save(out, found, recording, report)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
         from calib.experiment.hypotheses import questions

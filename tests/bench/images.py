@@ -133,7 +133,8 @@ def drawn(keep: Path, kind: str, index: int) -> tuple[blind.DrawnCase, Recording
 def diagnosed(recorded: Recording, sampled: Sampled, out: Path) -> Path:
     """The diagnosis.json of a recording that was measured before."""
     out.mkdir(parents=True, exist_ok=True)
-    platform.save(out, diagnose(recorded, sampled=sampled), recorded)
+    found = diagnose(recorded, sampled=sampled)
+    platform.save(out, found, recorded, platform.report(found))
     return out / "diagnosis.json"
 
 

@@ -11,8 +11,8 @@ from calib.diagnose.problems.arm import diagnose as arms
 from calib.diagnose.problems.platform import diagnose as platforms
 from calib.diagnose.report import arm, platform
 from calib.diagnose.report.page import judged
+from calib.diagnose.report.report import summary
 from calib.diagnose.report.schema import ASSUMED_NOISE, RESIDUALS, STATED
-from calib.diagnose.report.words import verdict
 from rig import recording
 from rig.design import Arm
 from rig.observed import Poses
@@ -41,7 +41,7 @@ def test_a_scatter_thirty_times_the_stated_noise_is_unexplained(tmp_path, again)
     assert tree["unexplained"]["place"] == "rig" and tree["unexplained"]["unit"] == "m" and tree["unexplained"]["depends_on"] == []
     assert tree["unexplained"]["magnitude"] == pytest.approx(np.sqrt(2) * 6e-4, rel=0.25)
     assert [f["effect"] for f in tree["findings"]] == ["unknown"] and tree["noise_from"] == STATED
-    assert judged(report).state is State.CHECK and "Nothing is left out" not in verdict(report)
+    assert judged(report).state is State.CHECK and "Nothing is left out" not in summary(report)
 
 
 def test_a_mount_within_its_noise_is_all_clear(tmp_path):

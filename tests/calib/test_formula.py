@@ -21,9 +21,10 @@ from calib.diagnose.problems.platform.candidates import platform_candidates
 from calib.diagnose.problems.platform.formulas import suggestions
 from calib.diagnose.problems.platform.operating_point import of_recording
 from calib.diagnose.problems.platform.problem import PlatformProblem
-from calib.diagnose.report.judgement import to_do
+from calib.diagnose.report.judgement import to_do, write
 from calib.diagnose.report.page import _suggestions
-from calib.diagnose.report.schema import FitEntry, Report, suggestion_entries, write
+from calib.diagnose.report.report import Report
+from calib.diagnose.report.schema import FitEntry, suggestion_entries
 from rig import design_file, json_file
 from rig.cli import main
 from rig.effects.plugin import load

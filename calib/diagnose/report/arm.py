@@ -18,6 +18,8 @@ from calib.diagnose.problems.arm.fit import Term
 from calib.diagnose.problems.arm.nonlinear import joint_covariance, moments
 from calib.diagnose.report import arm_contributions
 from calib.diagnose.report.platform import copy_recording, experiment, moment, unexplained, unknown, unusual
+from calib.diagnose.report.judgement import write
+from calib.diagnose.report.report import Report
 from calib.diagnose.report.schema import (
     ASSUMED_NOISE,
     STATED,
@@ -26,7 +28,6 @@ from calib.diagnose.report.schema import (
     FindingEntry,
     FitEntry,
     NotAskedEntry,
-    Report,
     Unexplained,
     Value,
     bounded,
@@ -35,7 +36,6 @@ from calib.diagnose.report.schema import (
     effects_files,
     said_of,
     suggestion_entries,
-    write,
 )
 from rig import machine_file, mechanisms
 from rig.files import write_text
@@ -193,11 +193,11 @@ def _finding(d: ArmDiagnosis, finding: Finding, proof: CrossValidation) -> Findi
                         said_of(d.given, candidate.name, candidate.place), unusual(candidate.kind, candidate.place, found))
 
 
-def save(folder: Path, d: ArmDiagnosis, recording: Recording, refuted: tuple[str, ...] = ()) -> None:
+def save(folder: Path, d: ArmDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder, and what it takes to simulate the arm as found: machine.json and the recording's own rig.toml,
     commands, frames and sensors.
-    refuted : as in Report"""
-    write(folder, replace(report(d), refuted=refuted))
+    report : Report of d"""
+    write(folder, report)
     found = replace(recording.design, mechanism=d.arm)
     write_text(folder / "machine.json", json.dumps(machine_file.tree(found, d.effects)) + "\n")
     copy_recording(folder, recording)

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from calib.diagnose.report import words
-from calib.diagnose.report.schema import ASSUMED_NOISE, UNKNOWN, FindingEntry, Report
+from calib.diagnose.report.report import Report, summary
+from calib.diagnose.report.schema import ASSUMED_NOISE, UNKNOWN, FindingEntry
+from rig.files import write_text
 from rig.judgement import Evidence, Missing, State, Verdict, judge
 from rig.provenance import Marks, shared
 
@@ -30,9 +32,15 @@ def judged(report: Report) -> Verdict:
         agreeing = f"{count} rows agree with no others and were" if count > 1 else "1 row agrees with no others and was"
         missing.append(Missing(f"{agreeing} left out", ROWS))
     steps = to_do(report)
-    said = words.verdict(report).removesuffix(".")
+    said = summary(report).removesuffix(".")
     return judge(Evidence(said[0].lower() + said[1:], tuple(steps), unexplained=tuple(dict.fromkeys([*named, *unknown])),
                           missing=tuple(missing), refuted=report.refuted, look=TAKE_IN if named else steps[0], named=True))
+
+
+def write(folder: Path, report: Report) -> None:
+    """Write diagnosis.json into a folder: the Report's tree, its verdict after its schema."""
+    tree = report.tree()
+    write_text(folder / "diagnosis.json", json.dumps({"schema": tree["schema"], "verdict": judged(report).tree(), **tree}, indent=1) + "\n")
 
 
 def to_do(report: Report) -> list[str]:

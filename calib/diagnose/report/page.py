@@ -6,7 +6,8 @@ from typing import Any, Protocol
 
 from calib.diagnose.report import words
 from calib.diagnose.report.judgement import judged
-from calib.diagnose.report.schema import FindingEntry, Report
+from calib.diagnose.report.report import Report
+from calib.diagnose.report.schema import FindingEntry
 from rig.effects import BY_NAME
 from rig.page.document import Link, Page, write
 from rig.page.figure import panels

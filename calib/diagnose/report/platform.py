@@ -1,7 +1,7 @@
 """A platform's diagnosis as a Report, and what it takes to draw the recording anew as it was found."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,8 @@ from calib.diagnose.engine.select import Finding
 from calib.diagnose.problems.platform.diagnose import PlatformDiagnosis
 from calib.diagnose.problems.platform.refine import Refined
 from calib.diagnose.problems.platform.tolerated import Slight
+from calib.diagnose.report.judgement import write
+from calib.diagnose.report.report import Report
 from calib.diagnose.report.schema import (
     ASSUMED_NOISE,
     RESIDUALS,
@@ -24,7 +26,6 @@ from calib.diagnose.report.schema import (
     FitEntry,
     NotAskedEntry,
     RemarkEntry,
-    Report,
     Unexplained,
     Value,
     bounded,
@@ -33,7 +34,6 @@ from calib.diagnose.report.schema import (
     effects_files,
     said_of,
     suggestion_entries,
-    write,
 )
 from rig import machine_file, remote
 from rig.effects.base import Effect
@@ -173,11 +173,11 @@ def moment(t: np.ndarray, value: float, origin: Origin, likely: tuple[float, flo
     return Value(origin.shown(value), "s", [origin.shown(t[low - 1]), origin.shown(t[high])])
 
 
-def save(folder: Path, d: PlatformDiagnosis, recording: Recording, refuted: tuple[str, ...] = ()) -> None:
+def save(folder: Path, d: PlatformDiagnosis, recording: Recording, report: Report) -> None:
     """Write diagnosis.json into a folder and, where a machine was commanded, what it takes to simulate it as found:
     machine.json and the recording's own rig.toml, commands, frames and sensors.
-    refuted : as in Report"""
-    write(folder, replace(report(d), refuted=refuted))
+    report : Report of d"""
+    write(folder, report)
     k = d.selection.fit.refined.point
     if not k.axes:
         return

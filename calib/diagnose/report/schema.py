@@ -1,20 +1,14 @@
 """diagnosis.json (schema "diagnosis/1") as dataclasses: what a diagnosis of any machine says, in m, rad, px and s."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
-from calib.confounds import Confounds
 from calib.diagnose.engine.given import Given
 from calib.diagnose.engine.ranking import Covariate
-from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.problems.suggestion import Suggestion
 from rig.effects.plugin import Plugin
 from rig.effects.written import Written
-from rig.files import write_text
-from rig.notebook import shown
 from rig.recording import Part
 
 SCHEMA = "diagnosis/1"
@@ -212,89 +206,17 @@ def recording_entries(parts: tuple[Part, ...]) -> tuple[RecordingEntry, ...]:
     return tuple(RecordingEntry(part.recording.name, part.frames, part.t) for part in parts)
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Of one recording, or of several. start_s : s, the recording's start by the owner's clock; noise : {corner_px, pose_m, pose_rad, strut_m}
-    findings : biggest first; unexplained : the largest of what has no name; not_asked : what the recording cannot show
-    fits : {"corners" | "closures" | "poses": FitEntry}; fit : that of the first finding; remarks : what is there and is nobody's fault
-    covariates : what is left goes with, the one that explained most before first; said : what the operator said beforehand, as options
-    recordings : where it is several, which; own_effects : files of effects that were asked for besides the catalogue
-    suggestions : formulas for what has no name
-    more : what one kind of machine has to say besides; confounds : of the recording, None where nothing was commanded
-    left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too many to be left out, or None
-    noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed" where nobody states the
-    poses' noise
-    refuted : calibrations made from the recording that the findings refute, a sentence each"""
-
-    recording: str
-    start_s: float
-    noise: dict[str, float | None]
-    findings: tuple[FindingEntry, ...]
-    unexplained: Unexplained | None
-    fits: dict[str, FitEntry]
-    fit: FitEntry
-    not_asked: tuple[NotAskedEntry, ...]
-    remarks: tuple[RemarkEntry, ...] = ()
-    covariates: tuple[CovariateEntry, ...] = ()
-    said: tuple[str, ...] = ()
-    recordings: tuple[RecordingEntry, ...] = ()
-    own_effects: tuple[EffectsFile, ...] = ()
-    suggestions: tuple[SuggestionEntry, ...] = ()
-    more: dict[str, Any] = field(default_factory=dict)
-    confounds: Confounds | None = None
-    noise_from: str = STATED
-    left_out: tuple[LeftOut, ...] = ()
-    crowd: Crowd | None = None
-    refuted: tuple[str, ...] = ()
-
-    def _repr_html_(self) -> str:
-        """As a notebook shows it."""
-        from calib.diagnose.report import words  # which stands on this
-
-        rows = [(words.title(f), words.size(f).removeprefix(", "), f.action or "") for f in self.findings]
-        return shown(words.verdict(self), [], [("what", "size", "what to do"), *rows] if rows else [])
-
-    @property
-    def named(self) -> list[FindingEntry]:
-        """The findings that have a name."""
-        return [f for f in self.findings if f.effect != UNKNOWN]
-
-    @property
-    def mattering(self) -> list[FindingEntry]:
-        """Of those, the ones that change what was held out."""
-        return [f for f in self.named if f.matters]
-
-    @property
-    def unknown(self) -> list[FindingEntry]:
-        """The findings that have none."""
-        return [f for f in self.findings if f.effect == UNKNOWN]
-
-    def tree(self) -> dict[str, Any]:
-        """The tree of diagnosis.json."""
-        apart = ("more", "confounds", "refuted", *(() if self.recordings else ("recordings",)))
-        own = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
-        from calib.diagnose.report.judgement import judged  # which stands on this
-
-        return {"schema": SCHEMA, "verdict": judged(self).tree(), **own, "unexplained": _plain(self.unexplained), **self.more,
-                "crowd": _plain(self.crowd), "confounds": self.confounds and self.confounds.tree()}
-
-
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Trees of dicts and lists; of dataclasses, what is None or empty optional is left out."""
     if is_dataclass(value):
         items = {f.name: getattr(value, f.name) for f in fields(value)}
-        return {name: _plain(v) for name, v in items.items() if v is not None}
+        return {name: plain(v) for name, v in items.items() if v is not None}
     if isinstance(value, dict):
-        return {name: _plain(v) for name, v in value.items()}
-    return [_plain(v) for v in value] if isinstance(value, (list, tuple)) else value
+        return {name: plain(v) for name, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, (list, tuple)) else value
 
 
 def said_of(given: Given, effect: str, place: str) -> str | None:
     """What was said beforehand of an effect at a place."""
     site = (effect, place)
     return ASSUMED if site in given.assumed else SEEN_BEFORE if site in given.before else None
-
-
-def write(folder: Path, report: Report) -> None:
-    """Write diagnosis.json into a folder."""
-    write_text(folder / "diagnosis.json", json.dumps(report.tree(), indent=1) + "\n")

@@ -7,13 +7,10 @@ import numpy as np
 from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.report.schema import (
     ASSUMED,
-    ASSUMED_NOISE,
-    RESIDUALS,
     CovariateEntry,
     FindingEntry,
     FitEntry,
     RemarkEntry,
-    Report,
     SuggestionEntry,
     Value,
 )
@@ -83,36 +80,6 @@ def beforehand(finding: FindingEntry) -> str:
 def sentence(text: str) -> str:
     """With a capital and a full stop."""
     return text[0].upper() + text[1:] + "."
-
-
-def verdict(report: Report) -> str:
-    """What was found, the biggest first; what is only significant is counted, not named."""
-    worst, left = report.unexplained, ""
-    if worst is not None:
-        left = f"something at {worst.place} that nothing in the catalogue explains, {number(worst.magnitude, worst.unit)}"
-        left += f", going with {' and '.join(worst.depends_on)}" if worst.depends_on else ""
-    if not report.named:
-        return f"There is {left}." if left else all_clear(report)
-    main = report.mattering or report.named
-    said = [f"{title(f)}{size(f)}{beforehand(f)}" for f in main]
-    fewer = len(report.named) - len(main)
-    slight = "1 more is significant and changes" if fewer == 1 else f"{fewer} more are significant and change"
-    said += [f"{slight} what was held out by next to nothing"] if fewer else []
-    text = "; ".join([*said, *([f"besides, {left}"] if left else [])])
-    doubtful = [f.effect.replace("_", " ") for f in main if f.cannot_be_told_from]
-    text += f". This recording alone cannot tell the {' and the '.join(doubtful)} from everything else: see there" if doubtful else ""
-    return sentence(text)
-
-
-def all_clear(report: Report) -> str:
-    """What it is worth that nothing was found: nothing, where nobody states the noise."""
-    if report.crowd is not None:
-        return f"Nothing in the catalogue was found, and {crowd(report.crowd)}."
-    if report.noise_from == ASSUMED_NOISE:
-        return ("Nothing was found, which proves nothing: nobody states the noise of the poses, and what is left of them was taken for it. State it: "
-                "position_sigma and rotation_sigma in [instrument] of rig.toml.")
-    whence = ", which what is left of the corners determines: nobody states it" if report.noise_from == RESIDUALS else ""
-    return f"Nothing is left out: the recording and the model of the rig agree within the noise{whence}."
 
 
 def left_out(one: LeftOut) -> tuple[str, str, str, str]:
