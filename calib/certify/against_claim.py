@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.calibration import Calibration
+from calib.certify.evidence import of_samples
 from calib.certify.held_out import error_of
-from calib.certify.verification import Part, Verification, of_samples
+from calib.certify.verification import Part, Verification
 from calib.samples import Samples
 
 

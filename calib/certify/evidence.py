@@ -4,12 +4,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim
+from calib.certify.configurations import labels, ranges
 from calib.certify.held_out import HeldOut
 from calib.certify.verdict import WHERE, refuting, verdict
-from calib.certify.verification import Verification
+from calib.certify.verification import Verification, verification
 from calib.confounds import Confounds
+from calib.samples import Samples
 from rig.judgement import LOOK, Evidence, Missing, State, Verdict, judge
 from rig.refutations import Refutation
 
@@ -57,6 +61,14 @@ def held_against(known: Evidence, found: Verification | None, by: str = "", look
         return replace(known, refuted=(said, *known.refuted), look=known.look if look is None else look)
     ratios = [part.of_allowed for part in found.parts.values()] + ([] if known.held_out is None else [known.held_out])
     return replace(known, held_out=max(ratios, default=None))
+
+
+def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Generator) -> Verification | None:
+    """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is claimed."""
+    if calibration.claim is None or calibration.claim.after is None:
+        return None
+    label = labels(samples.commanded, ranges(calibration.correction.nominal))
+    return verification(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 
 def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:

@@ -7,24 +7,17 @@ A base (or an instrument) that stands elsewhere moves all poses by one rigid mot
 Source: docs/mathematics.md (21); Rao, Linear Statistical Inference, 2nd ed., 3b (quadratic forms); 4a (generalised least squares)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.claim import Claim
-from calib.certify.configurations import labels, ranges
 from calib.certify.held_out import error_of
 from calib.samples import Samples
 from rig.pose import adjoint, exp
-
-if TYPE_CHECKING:
-    from calib.certify.calibration import Calibration
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
 DRAWS, FEWEST_DRAWS, MOST = 2000, 400, 200_000  # of squares: as many as times the poses make MOST
@@ -103,14 +96,6 @@ def verification(predicted: RigidTransform, samples: Samples, label: np.ndarray,
         raise ValueError("no factor is claimed, so there is nothing to verify")
     found = _verified(error_of(predicted, samples), samples, label, claim, rng)
     return found if found.kept or not found.parts else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
-
-
-def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Generator) -> Verification | None:
-    """Verification of a Calibration's claim by samples as `Calibration.told` gives them, None where no factor is claimed."""
-    if calibration.claim is None or calibration.claim.after is None:
-        return None
-    label = labels(samples.commanded, ranges(calibration.correction.nominal))
-    return verification(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
 
 
 def _verified(errors: np.ndarray, samples: Samples, label: np.ndarray, claim: Claim, rng: np.random.Generator) -> Verification:

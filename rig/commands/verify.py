@@ -66,8 +66,8 @@ def run(arguments: Namespace) -> int:
 
     from calib.certify import verdict as words
     from calib.certify.configurations import labels, ranges
+    from calib.certify.evidence import of_samples
     from calib.certify.held_out import compare, errors_of
-    from calib.certify.verification import of_samples
     from calib.pages.verified import Verified, judged, refutes, verified_page
     from calib.confounds import of_recordings
     from calib.pipeline import sample_recording

@@ -109,7 +109,7 @@ def _verified(calibration: Calibration, recording: Recording, verdict: Verdict) 
     """The claim held against a first visit that disagrees with the calibration, as `rig verify` holds it; None of other visits."""
     import numpy as np
 
-    from calib.certify.verification import of_samples
+    from calib.certify.evidence import of_samples
     from calib.pipeline import sample_recording
 
     if not verdict.alarm or verdict.chance is None:
