@@ -75,10 +75,10 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     said("fitting the geometry", 0, 1)
     alone = geometry(samples, nominal)
     plain: Correction[Struts, Radial] = Correction(nominal, alone.mechanism, (None,) * len(nominal.axes))
+    first = Certified(plain, alone, label, None)
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
         said("fitting the geometry", 1, 1)
-        return Certified(plain, alone, label, None)
-    first = Certified(plain, alone, label, None)
+        return first
     sizes = _sizes(samples, first, rng)
     correction, found = calibrate(samples, nominal, alone=alone, only=sizes.of_place() > SURELY)
     said("fitting the geometry", 1, 1)
