@@ -68,9 +68,7 @@ def build(design: Design, text: str, seed: int = 0, one_sided: bool = False, own
     for part in (STANDARD if text == "standard" else text).split(","):
         name, _, count = part.strip().partition(":")
         if own and part.strip() in own:
-            goals = np.asarray(own[part.strip()])
-            for goal, last in zip(goals, writer.approaches(goals)):
-                writer.settle(goal, last)
+            writer.follow(np.asarray(own[part.strip()]))
             continue
         if name not in PARTS:
             raise RigError(f"plan {shown(text)}: there is no part {shown(name)}; there are {', '.join(PARTS)}")

@@ -72,7 +72,10 @@ class Writer:
 
     def visit(self, goals: np.ndarray) -> None:
         """Settle at each of the configurations (n, axes), in an order and from sides that are no function of place (see rig.balance)."""
-        goals = self.shuffled(goals)
+        self.follow(self.shuffled(goals))
+
+    def follow(self, goals: np.ndarray) -> None:
+        """Settle at each of the configurations (n, axes) in their order, from sides that are no function of place."""
         for goal, last in zip(goals, self.approaches(goals)):
             self.settle(goal, last)
 
