@@ -9,12 +9,14 @@ import pytest
 from calib.arms.certify import certify as arm_certify
 from calib.arms.certify import promised as arm_promised
 from calib.certify.certificate import certify, promised
+from calib.diagnose.problems.arm import diagnose as arm_problem
 from calib.diagnose.problems.arm.diagnose import diagnose as arm_diagnose
 from calib.diagnose.problems.platform.diagnose import diagnose
 from calib.diagnose.report.arm import report as arm_report
 from calib.diagnose.report.page import diagnosis_page, judged
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
+from calib.identify.geometry import Loops, identify, parameters
 from calib.identify.robust import MOST, robust_fit, several, wild_rows
 from calib.pipeline import sample_recording
 from rig import masking, recording
@@ -105,6 +107,17 @@ def test_an_arms_wild_poses_are_left_out(tmp_path):
         assert len(gone & set(frames.tolist())) + len(mask.split(",")) * bool(mask) >= len(frames) - 1
 
 
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path, monkeypatch, rounds):
+    """Where nothing is gross beforehand, wild poses show after a search: after the last one it is too late to leave them out."""
+    monkeypatch.setattr(arm_problem, "GROSS", np.inf)
+    monkeypatch.setattr(arm_problem, "ROUNDS", rounds)
+    rng = np.random.default_rng(2)
+    arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 60, rng))
+    found = arm_diagnose(spoilt_poses(recording.load(tmp_path / "rec"), rng)[0], ["scale_error"])
+    assert sorted(one.frame for one in found.left_out) == found.arms.frame[~found.fit.used].tolist() and bool(found.left_out) == (rounds > 1)
+
+
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):
     rec = recorded(tmp_path, design, [], route="sobol:60")
     assert diagnose(rec, ["edge_bias"]).wild.left_out == ()
@@ -151,6 +164,19 @@ def test_a_platform_is_calibrated_with_wild_poses_as_without_them(tmp_path, desi
     assert sorted(some.frame[~made.found.inliers]) == frames.tolist()
     assert made.held_out.after.position == pytest.approx(expected.held_out.after.position, rel=0.05)
     assert promised(some, made, np.random.default_rng(0)).after[0] == pytest.approx(promised(without, expected, np.random.default_rng(0)).after[0])
+
+
+def test_a_fit_starts_without_wild_poses_only_where_it_does_not_close_with_them(tmp_path, design, monkeypatch):
+    starts, robust = [], Loops.agreeing
+    monkeypatch.setattr(Loops, "agreeing", lambda *given: starts.append(robust(*given)) or starts[-1])
+    bad, frames = spoilt_poses(posed(tmp_path / "rec", design, ["backlash:strut3:gap=6e-5"], 1), np.random.default_rng(1))
+    some, without = (sample_recording(rec).samples for rec in (bad, masking.masked(bad, ",".join(map(str, frames)))))
+    expected = identify(without, design.mechanism)
+    assert not starts and expected.inliers.all()
+    found = identify(some, design.mechanism)
+    assert len(starts) == 1 and not starts[0][np.isin(some.frame, frames)].any()
+    assert sorted(some.frame[~found.inliers]) == frames.tolist()
+    assert np.abs(parameters(found.mechanism) - parameters(expected.mechanism)).max() < 1e-6
 
 
 def test_an_arm_is_calibrated_with_wild_poses_as_without_them(tmp_path):

@@ -126,10 +126,11 @@ def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked,
     candidates, not_asked = joint_candidates(arms, asked)
     given = answerable(given, candidates, not_asked)
     wild = wild_poses(arms, arms.left, np.zeros(len(arms), bool), GROSS)
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         problem = ArmProblem(arms, candidates, ~wild.rows, given=given)
         selection = select(problem, progress)
-        both = wild.with_more(wild_poses(arms, selection.fit.left, wild.rows, GATE))
+        last = turn == ROUNDS - 1  # what would show only now was searched, and is not left out
+        both = wild if last else wild.with_more(wild_poses(arms, selection.fit.left, wild.rows, GATE))
         if both.left_out == wild.left_out:
             break
         wild = both
