@@ -34,8 +34,6 @@ from rig.recording import Sensors
 from synthetic import world
 
 GAP = 40e-6
-
-
 OWN = np.array([6e-6, 6e-6, 6e-6, 4e-5, 4e-5, 4e-5])  # m, rad
 
 
