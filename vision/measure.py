@@ -17,6 +17,7 @@ from vision.bundle.robust import adjust_robustly, standing_error
 from vision.bundle.variance import printed
 from vision.observations import Observations, only
 from vision.pose.frames import Frames, Views, locate_frames, related, resect
+from vision.pose.joined import joined
 from vision.pose.locate import FINEST
 from vision.predict import State, predict
 from vision.targets import MarkerMap
@@ -112,7 +113,7 @@ def measure(observations: Observations, design: Design, marker_map: MarkerMap, f
         views = Views(replace(observations, covariance=covariance), cameras, markers, finest)
         found = resect(views, cameras) if "poses" in free else {}
         cameras = tuple(replace(c, pose=found.get(i, c.pose)) for i, c in enumerate(cameras))
-        frames, cameras = _located(views, cameras, t, "poses" in free, progress and partial(progress, "locating"))
+        frames, cameras = _located(views, cameras, t, set(found) if "poses" in free else None, progress and partial(progress, "locating"))
         state = State(cameras, frames.all_poses(count), frames.all_moving(count), markers)
         unsolved = dict(frames.unsolved)
         fit = adjust_robustly(observations, state, free, unsolved, stated, frames.vouched, 5 * finest if places else 0.0,
@@ -148,12 +149,12 @@ def _in_order(adjustment: Adjustment) -> tuple[Adjustment, np.ndarray]:
     return turned, turned.platform_common[..., : int((squares > NEGLIGIBLE**2).sum())]
 
 
-def _located(views: Views, cameras: tuple[Camera, ...], t: np.ndarray | None, free: bool,
+def _located(views: Views, cameras: tuple[Camera, ...], t: np.ndarray | None, held: set[int] | None,
              progress: Callable[[int, int], None] | None) -> tuple[Frames, tuple[Camera, ...]]:
     """(Frames, cameras) located by cameras as they are, or, where they may move and no base says where they stand, as the body relates them if
-    the corners agree better so."""
+    the corners agree better so. held : indices of those that the base placed, None where none may move"""
     found = locate_frames(views, cameras, t, progress)
-    other = related(views, cameras) if free else {}
+    other = {} if held is None else related(views, cameras) or joined(views, cameras, found, held, t, progress)
     if not other:
         return found, cameras
     moved = tuple(replace(c, pose=other.get(i, c.pose)) for i, c in enumerate(cameras))

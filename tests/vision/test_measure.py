@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.errors import NotEnoughData
-from rig.pose import difference
+from rig.pose import difference, exp
 from tests.vision.scenes import known, nees, scene, standing
 from vision.measure import measure
 from vision.observations import correlation_of, whitener
@@ -95,6 +95,19 @@ def test_a_frame_that_cannot_be_solved_is_reported_and_not_filled_in(design):
     assert m.frames.tolist() == [0, 1, 4, 5, 6, 7, 8, 9]
     assert "no marker" in m.unsolved[2] and "single sighting" in m.unsolved[3]
     assert np.abs(difference(m.T_base_platform, T[m.frames])).max() < 1e-3
+
+
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_camera_that_the_base_does_not_place_joins_by_the_others_poses(design, left):
+    """It sees no base marker, or one, and stands 160 mm and 10 degrees from where it is stated: the others tell where."""
+    observations, stated, true, _ = scene(design, 6, frames=8)
+    o, first = observations, stated.cameras[0]
+    base = np.unique(o.marker[(o.camera == 0) & ~o.on_platform])
+    seen = observations.take((o.camera != 0) | o.on_platform | np.isin(o.marker, base[:left]))
+    away = replace(first, pose=first.pose * exp(np.array([0.12, -0.08, 0.07, 0.1, -0.1, 0.1])))
+    m = measure(seen, replace(stated, cameras=(away, *stated.cameras[1:])), marker_map(design))
+    off = m.design.cameras[0].pose.inv() * true.cameras[0].pose
+    assert len(m.frames) == 8 and m.inliers.mean() > 0.98 and np.linalg.norm(off.translation) < 1e-3 and off.rotation.magnitude() < 6e-3
 
 
 def test_nothing_solved_is_an_error_with_reasons(design):

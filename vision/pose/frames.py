@@ -1,6 +1,7 @@
 """Frame by frame: where the platform and every moving camera stand, as a start for adjusting all frames together."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +57,13 @@ class Views:
         self.normals = marker_map.T_body_marker.rotation.as_matrix()[:, :, 2][observations.marker]
         self.focal = np.array([np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]) for camera in cameras])
         self.identity = np.broadcast_to(np.eye(4), (len(cameras), 4, 4))
+
+    def take(self, mask: np.ndarray) -> "Views":
+        """The same recording with only the corners of a mask (n,)."""
+        some = copy(self)
+        some.observations, some.ideal, some.covariance, some.normals = (
+            self.observations.take(mask), self.ideal[mask], self.covariance[mask], self.normals[mask])
+        return some
 
     def locate(self, rows: np.ndarray, T_camera_world: np.ndarray, ideal: np.ndarray | None = None) -> Located | Unsolved:
         """Located or Unsolved from the observations' rows. T_camera_world : (c, 4, 4)."""
