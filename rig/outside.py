@@ -1,7 +1,6 @@
 """Bytes and text of outside files: regular files alone, of a size that can be meant; every failure is a FileError."""
 
 import os
-import re
 import stat
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -10,7 +9,6 @@ from rig import remote
 from rig.errors import FileError
 
 LARGEST = 1 << 28  # bytes of a text file
-UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]|\r(?!\n)")
 SHOWN = 80  # characters of a value that a message repeats
 KINDS = ((stat.S_ISDIR, "is a folder, not a file"), (stat.S_ISFIFO, "is a pipe, not a file"), (stat.S_ISCHR, "is a device, not a file"),
          (stat.S_ISBLK, "is a device, not a file"), (stat.S_ISSOCK, "is a socket, not a file"))
@@ -71,19 +69,6 @@ def read_text(path: Path, most: int = LARGEST, missing: str = "no such file") ->
     if "\0" in text:
         raise FileError(path, "is no text: it holds a NUL byte", text[: text.index("\0")].count("\n") + 1)
     return text
-
-
-def visible(text: str) -> str:
-    """A text on which a terminal does nothing but show it: control characters, what turns the direction of writing, and bytes of a name that is no
-    UTF-8 are escaped; line ends and tabs stay."""
-    return UNSEEN.sub(_escape, text)
-
-
-def _escape(found: re.Match[str]) -> str:
-    code = ord(found.group())
-    if 0xDC80 <= code <= 0xDCFF:  # a byte of a file's name, as Python holds it
-        code -= 0xDC00
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
 def shown(value: Any) -> str:

@@ -10,7 +10,7 @@ from rig.cli import main
 from rig.commands.escaped import Escaped
 from rig.commands.terminal import Block
 from rig.layout import layout
-from rig.outside import visible
+from rig.visible import visible
 from tests.conftest import ROOT
 
 WIPE = "\x1b[2J\x1b]0;title\x07"  # clears a screen, and names its window

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rig.cameras.offset import UNIFORM, Offset
 from rig.cameras.source import CameraError, Frame
 from rig.clock import Clock
+from rig.pipelines import complaint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -88,7 +89,7 @@ class VideoSource:
 def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, int]) -> VideoSource:
     """A camera of kind "uvc" (place : number or device path) or "gstreamer" (place : a pipeline that ends in appsink).
 
-    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open.
+    size : (width, height) px, as rig.toml has them. Raises CameraError where it does not open, and for a pipeline that may write (see rig.pipelines).
     """
     import cv2
 
@@ -99,7 +100,10 @@ def open_video(name: str, kind: str, place: str, clock: Clock, size: tuple[int, 
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     else:
-        if "GStreamer" not in [cv2.videoio_registry.getBackendName(b) for b in cv2.videoio_registry.getBackends()]:
+        wrong = complaint(place)
+        if wrong is not None:
+            raise CameraError(f"camera {name!r}: gstreamer:{place} {wrong}")
+        if cv2.CAP_GSTREAMER not in cv2.videoio_registry.getBackends():
             raise CameraError(f"camera {name!r}: this build of OpenCV has no GStreamer; Debian's python3-opencv has")
         capture = cv2.VideoCapture(place, cv2.CAP_GSTREAMER)
     if not capture.isOpened():

@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.commands.escaped import controls
 from rig.commands.looking import Seen, View
-from rig.outside import visible
+from rig.visible import visible
 from rig.pose import vector
 
 WIDTH = 30  # of a strut's bar

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 
 from rig.errors import FileError
+from rig.visible import visible
 
 STANDARD_OUTPUT = Path("/dev/stdout")  # what `-` stands for
 PART = ".rig-{}.part"  # name of a temporary; its length does not depend on the file's
@@ -129,6 +130,9 @@ def sync(folder: int) -> None:
 
 
 def _all(descriptor: int, data: bytes) -> None:
+    """Write all of data; to a terminal, what of it would do more than be shown is escaped."""
+    if os.isatty(descriptor):
+        data = visible(data.decode("utf-8", "surrogateescape")).encode("utf-8")
     rest = memoryview(data)
     while len(rest):
         rest = rest[os.write(descriptor, rest) :]

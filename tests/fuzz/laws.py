@@ -14,7 +14,7 @@ from rig.design import Actuator
 from rig.errors import RigError
 from rig.json_positions import Places, doubled
 from rig.number import number, whole
-from rig.outside import visible
+from rig.visible import visible
 from rig.page import server
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")

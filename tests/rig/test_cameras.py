@@ -72,6 +72,33 @@ def test_a_video_camera_that_is_gone_or_of_another_size_is_named():
         VideoSource("cam0", capture, clock, SIZE).grab()
 
 
+READING = [
+    "v4l2src ! videoconvert ! appsink", "v4l2src device=/dev/video0 ! video/x-raw, width=1280, format=(string)BGR ! videoconvert ! appsink",
+    "rtspsrc location=rtsp://u:p@h/x?a=b latency=0 ! rtph264depay ! avdec_h264 ! queue ! appsink drop=true",
+    "nvarguscamerasrc ! video/x-raw(memory:NVMM),width=1280,framerate=30/1 ! nvvidconv ! appsink"]
+WRITING = [
+    "v4l2src ! filesink location={}", "v4l2src ! tee name=t ! appsink t. ! filesink location={}", "v4l2src ! file://{}", "v4l2src ! video/x-raw",
+    "v4l2src ! appsink filesrc location=a ! filesink location={}", "playbin video-sink=filesink ! appsink", "appsink",
+    "v4l2src ! splitmuxsink location={} ! appsink", "camerabin location={} ! appsink", "v4l2src ! queue2 temp-template={} ! appsink",
+    "v4l2src name='a ! filesink location={} v4l2src ! appsink", "bin.( v4l2src ! filesink location={} ) ! appsink",
+    "v4l2src ! appsink t. ! filesink location={}"]
+
+
+def test_a_pipeline_opens_only_what_reads_decodes_and_converts(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(cv2.videoio_registry, "getBackends", lambda: (cv2.CAP_GSTREAMER,))
+    closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda place, kind: opened.append(place) or closed)
+    for text in WRITING:
+        with pytest.raises(CameraError, match="'cam0': gstreamer:.*(may write|must end in appsink|no setting|images come from)"):
+            open_source(camera("gstreamer:" + text.format(tmp_path / "written")), Ticking())
+    assert not opened
+    for text in READING:
+        with pytest.raises(CameraError, match="cannot be opened"):
+            open_source(camera(f"gstreamer:{text}"), Ticking())
+    assert opened == READING
+
+
 def test_a_device_that_is_not_there_is_said(tmp_path):
     with pytest.raises(CameraError, match="cannot be opened"):
         open_source(camera(f"uvc:{tmp_path}/video9"), Ticking())
