@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -39,34 +40,27 @@ def tolerance(text: str) -> tuple[str, float]:
 
 def share(text: str) -> float:
     """A share between 0 and 1. Raises ArgumentTypeError"""
-    try:
-        value = number(text)
-    except ValueError:
-        value = 0.0
-    if not 0.5 <= value <= 0.9999:
-        raise ArgumentTypeError(f"{text!r} must be a share from 0.5 to 0.9999")
-    return value
+    return _within(text, 0.5, 0.9999, "a share from 0.5 to 0.9999")
 
 
 def relative(text: str) -> float:
     """A relative uncertainty. Raises ArgumentTypeError"""
-    try:
-        value = number(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < 0.1:
-        raise ArgumentTypeError(f"{text!r} must be a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m")
-    return value
+    return _within(text, 0.0, math.nextafter(0.1, 0.0), "a relative standard uncertainty from 0 to 0.1, as 20e-6 for 20 um/m")
 
 
 def load(text: str) -> float:
     """A rated load, kg. Raises ArgumentTypeError"""
+    return _within(text, 0.0, math.nextafter(1e6, 0.0), "a load in kg, 0 or more")
+
+
+def _within(text: str, least: float, most: float, expected: str) -> float:
+    """The number that a text is. Raises ArgumentTypeError for none and for one outside these bounds. expected : what it must be, in words"""
     try:
-        value = float(text)
+        value = number(text)
     except ValueError:
-        value = -1.0
-    if not 0 <= value < 1e6:
-        raise ArgumentTypeError(f"{text!r} must be a load in kg, 0 or more")
+        value = math.nan
+    if not least <= value <= most:
+        raise ArgumentTypeError(f"{text!r} must be {expected}")
     return value
 
 

@@ -1,9 +1,12 @@
 """Numbers are plain decimals wherever text is read, and nothing else that Python takes for one."""
 
+from argparse import ArgumentTypeError
+
 import pytest
 
 from rig import table
 from rig.cli import main
+from rig.commands import certify
 from rig.commands.go import pose_of
 from rig.effects.parse import parse
 from rig.errors import FileError, RigError
@@ -55,3 +58,12 @@ def test_spaces_around_a_cell_are_left_out_and_frames_are_counted_in_ascii(tmp_p
 def test_poses_on_the_command_line():
     with pytest.raises(RigError, match="six figures"):
         pose_of("1_0,2,3,4,5,6")
+
+
+@pytest.mark.parametrize(("read", "good", "bad"), [(certify.share, "0.9999", ("0.4", "1", "1_0")), (certify.relative, "0", ("0.1", "-1e-9", "1_0")),
+                                                   (certify.load, "12.5", ("1e6", "-1", "1_0", "nan"))])
+def test_what_a_certificate_is_asked_for_is_a_number_within_its_bounds(read, good, bad):
+    assert read(good) == float(good)
+    for text in bad:
+        with pytest.raises(ArgumentTypeError, match="must be a"):
+            read(text)
