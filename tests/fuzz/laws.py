@@ -14,8 +14,9 @@ from rig.design import Actuator
 from rig.errors import RigError
 from rig.json_positions import Places, doubled
 from rig.number import number, whole
-from rig.visible import visible
+from rig.pipelines import complaint
 from rig.page import server
+from rig.visible import visible
 
 PLAIN = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 TOKEN = "a-token-that-nobody-guesses"
@@ -107,6 +108,15 @@ def a_port(path: Path) -> None:
         assert visible(text) == text
 
 
+def a_pipeline(path: Path) -> None:
+    """A pipeline that is taken has one sink, appsink, in its last part, no address but as a setting's value, and nothing quoted."""
+    text = text_of(path)
+    if complaint(text) is None:
+        names = re.sub(r"=\s*[^\s!]*", "", text)
+        assert re.findall(r"\w*sink\w*", names) == ["appsink"] and text.rpartition("!")[2].split()[0] == "appsink", text
+        assert not re.search(r"://|[\"'\\\\;{}<>]|\w+\.(\s|$)", names), text
+
+
 def text_shown(path: Path) -> None:
     """What is printed of any text does nothing at a terminal, and can be encoded."""
     shown = visible(path.read_bytes().decode("utf-8", "surrogateescape"))
@@ -164,5 +174,7 @@ def laws(calibration: bytes) -> list[tuple[str, tuple[bytes, ...], Callable[[Pat
             ("places of JSON", (whole_text[:2000], b'{"a": [1, {"b\\n": "x,]}"},\n [], -2.5e3], "c": null, "d": true}', b'{"a": 1, "a": {}}'),
              places_of_json),
             ("port", (b"/dev/ttyUSB0", b"socket://localhost:23", b"spy:///dev/null?file=x", b"COM3"), a_port),
+            ("pipeline", (b"v4l2src device=/dev/video0 ! video/x-raw, width=640 ! videoconvert ! appsink drop=true", b"v4l2src ! filesink location=a",
+                          b"v4l2src ! appsink t. ! filesink location=b"), a_pipeline),
             ("text shown", (b"rec\x1b[2J", "\u202eabc\u00b5".encode(), b"a\r\nb\xff"), text_shown),
             ("requests to a page", REQUESTS, requests_to_a_page)]
