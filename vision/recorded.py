@@ -4,15 +4,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rig.design import Design
+from rig.design import Camera, Design
 from rig.errors import NotEnoughData
 from rig.recording import Corners, Recording
 from vision import stages
 from vision.bundle.adjust import NoOptimum
 from vision.bundle.places import HALVED, doubtful, moves
 from vision.in_hand import exchanged, in_hand, of_platform
+from vision.lens_starts import lens_starts, plausible
 from vision.measure import Measurement, measure
-from vision.observations import Observations, from_corners
+from vision.observations import Observations, from_corners, only
 from vision.reading.anew import ROUNDS, SETTLED, otherwise, placed_anew
 from vision.reading.collect import Collected, collect, image_reader, look_again
 from vision.reading.identity import LOOKED_AT, why_none
@@ -20,6 +21,8 @@ from vision.remounted import put_back, without
 from vision.targets import MarkerMap, marker_map
 
 REFUSED = 0.05  # of the frames; where more show enough and are refused, the stated places are doubted
+ASIDE = 0.2  # of the corners of solved frames; where more are set aside, the stated lenses are doubted
+FRAMES = 8  # on which other lenses are tried
 PLACES = ("auto", "stated", "free")
 
 
@@ -110,15 +113,21 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
     if markers.stage.any():
         stages.refuse_free(places)
         return stages.parted(measure(stages.apart(observed, markers), design, markers, free, progress, stages.times(t, markers)), markers)
-    loose, measured, contradicted = (*free, "markers"), None, True
+    loose, measured = (*free, "markers"), None
     if places == "free":
         return measure(observed, design, markers, loose, progress, t)
     try:
         measured = measure(observed, design, markers, free, progress, t)
-        contradicted = len(refused(measured)) > REFUSED * len(observed.frames)
     except (NotEnoughData, NoOptimum):
-        if places == "stated":
+        begun = _other_lenses(observed, design, markers, free)
+        if begun is None and places == "stated":
             raise
+    else:
+        begun = _other_lenses(observed, design, markers, free) if _contradicts(measured) else None
+    if begun is not None:
+        other = measure(observed, design, markers, free, progress, t, begun)
+        measured = other if measured is None or other.inliers.sum() > measured.inliers.sum() else measured
+    contradicted = measured is None or len(refused(measured)) > REFUSED * len(observed.frames)
     if measured is not None and (places == "stated" or not (contradicted or doubtful(measured, markers))):
         return measured
     loosened = measure(observed, design, markers, loose, progress, t)
@@ -127,6 +136,37 @@ def solve(observed: Observations, design: Design, markers: MarkerMap, free: Sequ
     if measured is None or len(loosened.frames) > len(measured.frames) or loosened.noise < HALVED * measured.noise:
         return loosened
     return measured
+
+
+def _contradicts(measured: Measurement) -> bool:
+    """Whether corners contradict what is stated: frames that show enough are refused, or many corners of those solved set aside."""
+    solved = np.isin(measured.observations.frames[measured.observations.frame], measured.frames)
+    return len(refused(measured)) > REFUSED * len(measured.observations.frames) or bool((~measured.inliers[solved]).mean() > ASIDE)
+
+
+def _other_lenses(observed: Observations, design: Design, markers: MarkerMap, free: Sequence[str]) -> tuple[Camera, ...] | None:
+    """Cameras from whose lenses a few frames agree with what is stated, where the stated lenses lead nowhere; None where no such are found."""
+    if "lenses" not in free:
+        return None
+    rich = np.bincount(observed.frame, minlength=len(observed.frames))
+    parts = np.array_split(np.arange(len(rich)), min(FRAMES, len(rich)))
+    few = only(observed, np.array([part[np.argmax(rich[part])] for part in parts]))
+
+    def adjusted(cameras: tuple[Camera, ...], free: Sequence[str]) -> Measurement | None:
+        try:
+            return measure(few, design, markers, free, cameras=cameras)
+        except (NotEnoughData, NoOptimum):  # nothing can be solved from these
+            return None
+
+    def loosened(cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
+        found = adjusted(cameras, (*free, "markers"))
+        return None if found is None else found.design.cameras
+
+    for cameras in lens_starts(design.cameras, loosened):
+        found = adjusted(cameras, free)
+        if found is not None and not _contradicts(found) and plausible(found.design.cameras, design.cameras):
+            return found.design.cameras
+    return None
 
 
 def refused(measured: Measurement) -> list[int]:

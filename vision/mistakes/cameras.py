@@ -14,8 +14,6 @@ from vision.mistakes.sample import Seen
 Candidate = tuple[str, str, Seen]
 BEFORE = "camera in base, OpenCV axes (x right, y down, z ahead): state it so"
 ZOOMS = (0.6, 1.7)  # of the stated focal length that adjusting may find: beyond, it found nothing, and half and twice have other causes
-STARTS = (1.0, 0.9, 1.1)  # times the stated focal length, from which lenses of which nothing is known are adjusted
-UNSTATED = (0.2, 0.06)  # of the focal length and of the image's width, that a lens which nobody stated may be from the stated one and the middle
 ALIKE = (0.015, 0.01, 1.0)  # of the focal length, of the width, px: within which two lenses are one
 ZOOMED = 0.05  # share beyond which that is a mistake
 
@@ -108,21 +106,6 @@ def bend(a: Camera, b: Camera) -> float:
     points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
     gap = lens.project(points, a.matrix, a.distortion) - lens.project(points, a.matrix, b.distortion)
     return float(np.sqrt((gap**2).sum(axis=1).mean()))
-
-
-def unstated(seen: Seen) -> Iterator[Seen]:
-    """The same with lenses of which nothing is known but about the focal length: no distortion, the centre in the middle of the image."""
-    for factor in STARTS:
-        yield seen.with_cameras(tuple(
-            replace(c, matrix=_matrix(c.matrix[0, 0] * factor, c.matrix[0, 0] * factor, (c.width - 1) / 2, (c.height - 1) / 2),
-                    distortion=np.zeros(max(5, len(c.distortion)))) for c in seen.design.cameras))
-
-
-def plausible(adjusted: tuple[Camera, ...], stated: tuple[Camera, ...]) -> bool:
-    """Whether lenses that adjusting found from nothing known are such as cameras have: near the stated focal length, centred nearly."""
-    zoomed = [abs(float(a.matrix[0, 0] / s.matrix[0, 0]) - 1) for a, s in zip(adjusted, stated)]
-    aside = [float(np.abs(a.matrix[:2, 2] - [(s.width - 1) / 2, (s.height - 1) / 2]).max()) / s.width for a, s in zip(adjusted, stated)]
-    return max(zoomed) < UNSTATED[0] and max(aside) < UNSTATED[1]
 
 
 def read_otherwise(seen: Seen, adjusted: tuple[Camera, ...]) -> Candidate | None:

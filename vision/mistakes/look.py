@@ -8,11 +8,12 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from rig.design import Design
+from rig.design import Camera, Design
 from rig.effects.edge_bias import EdgeBias
 from rig.mistakes import Mistake, in_order, motion
 from rig.recording import Corners, Recording
 from vision.in_hand import exchanged, in_hand
+from vision.lens_starts import lens_starts, plausible
 from vision.measure import Measurement
 from vision.mistakes import cameras, targets
 from vision.mistakes import corners as order
@@ -30,7 +31,8 @@ DONE = 0.5  # px; a mistake that leaves less explains all
 SEARCH = 20  # mistakes that are tried before a measurement; not seconds, of which a slow machine would try fewer
 THOROUGH = 300  # likewise, where somebody asks for nothing else
 AWAY = (0.15, 0.25)  # m, rad that a camera may stand from where it is stated: nobody measures them better by hand
-MENDED = 0.25  # of that, which a mistake named may leave
+MENDED = 0.25  # of how far a camera stands from there, which a mistake named may leave: another way of stating it is nearer by chance
+HALVED = 0.5  # the same of each of several cameras with one mistake, which chance does not bring about
 SAME = 0.05  # of that, which another reading of the stated lens may leave
 BENT = 2.0  # px, RMS over the image, that a lens may be from what is stated
 UNSTATED = "the lens is not as stated"
@@ -106,15 +108,15 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
     A reading of the stated lenses is named only where it gives what adjusting found: from where it begins, chance brings adjusting to an end
     """
     best = first
-    for other in _beginnings(first.seen):
-        tried = trial(other)
+    for begun in lens_starts(first.seen.design.cameras, partial(_loosened, first.seen)):
+        tried = trial(first.seen.with_cameras(begun))
         best = min(best, tried, key=lambda one: one.misfit)
         if tried.misfit < DONE:
             break
     if best.misfit > min(DONE, BETTER * first.misfit) or best.measured is None:
         return None
     adjusted, stated = best.measured.design.cameras, first.seen.design.cameras
-    if not cameras.plausible(adjusted, stated):
+    if not plausible(adjusted, stated):
         return None
     tail = f"corners lie {first.misfit:.3g} px RMS from where they ought to as it stands, {best.misfit:.3g} px"
     read = cameras.read_otherwise(first.seen, adjusted)
@@ -129,17 +131,10 @@ def _unstated(first: Trial) -> tuple[list[Mistake], Trial] | None:
                     False, 0.6)], best
 
 
-def _beginnings(stated: Seen) -> Iterator[Seen]:
-    """Lenses from which adjusting begins: some of which nothing is known, then those found with markers' places free.
-
-    A lens far from the stated one puts corners of its camera so far off that frames or the whole camera are left out; with places free they are not
-    """
-    unknown = list(cameras.unstated(stated))
-    yield from unknown
-    for begun in (stated, unknown[0]):
-        loose = trial(begun, ("poses", "lenses", "markers")).measured
-        if loose is not None:
-            yield begun.with_cameras(loose.design.cameras)
+def _loosened(seen: Seen, cameras: tuple[Camera, ...]) -> tuple[Camera, ...] | None:
+    """The cameras adjusted from these with markers' places free, None where nothing can be solved."""
+    measured = trial(seen.with_cameras(cameras), ("poses", "lenses", "markers")).measured
+    return None if measured is None else measured.design.cameras
 
 
 def _sized(first: Trial) -> tuple[list[Mistake], Trial]:
@@ -220,13 +215,13 @@ def _posed(m: Measurement, design: Design) -> list[Mistake]:
     found = []
     ways = {k: {what: _far(pose, seen[k].pose) for what, pose in cameras.poses(stated[k].pose)} for k in far}
     common = min(ways[far[0]], key=lambda what: max(ways[k][what] for k in far))
-    if len(far) > 1 and max(ways[k][common] for k in far) < 1:
+    if len(far) > 1 and all(ways[k][common] < min(1.0, HALVED * _far(stated[k].pose, seen[k].pose)) for k in far):
         return [Mistake(f"rig.toml: cameras {', '.join(stated[k].name for k in far)}: {common}{tail}", cameras.BEFORE, False, 0.85)]
     for k in far:
         what = min(ways[k], key=lambda way: ways[k][way])
         away = np.linalg.norm(stated[k].pose.translation - seen[k].pose.translation)
         turned = (stated[k].pose.rotation.inv() * seen[k].pose.rotation).magnitude()
-        named = ways[k][what] < max(1.0, MENDED * _far(stated[k].pose, seen[k].pose)) and ways[k][what] < 1.5
+        named = ways[k][what] < min(1.5, MENDED * _far(stated[k].pose, seen[k].pose))
         found.append(Mistake(f"rig.toml: camera {stated[k].name}: {f'{what}: ' if named else ''}it stands {away * 1e3:.0f} mm and "
                              f"{np.degrees(turned):.0f} degrees from where it is stated", cameras.BEFORE, False, 0.7))
     return found
