@@ -15,8 +15,8 @@ from types import FunctionType, ModuleType
 
 WATCHED = ("rig.table", "rig.entries", "rig.json_file", "rig.outside", "rig.origin", "rig.images", "rig.exposures", "rig.observed", "rig.recording",
            "rig.design_file", "rig.toml_positions", "rig.json_positions", "rig.number", "rig.visible", "rig.pipelines", "rig.controller",
-           "rig.page.server", "calib.store_checks", "calib.mechanism_file", "rig.effects.parse", "calib.store", "calib.online.state_file", "synthetic.score",
-           "synthetic.world", "synthetic.machines", "vision.lenses.board", "tomllib._parser")
+           "rig.page.server", "calib.store_checks", "calib.mechanism_file", "rig.effects.parse", "calib.store", "calib.online.state_file",
+           "synthetic.score", "synthetic.world", "synthetic.machines", "vision.lenses.board", "tomllib._parser")
 SHARES = {"rig.toml": 0.25, "image": 4.0, "effect": 3.0, "place": 3.0, "board": 3.0, "trials": 3.0, "effect as JSON": 2.0, "plan": 0.02,
           "calibration.json": 0.1, "state.json": 0.1, "frames.csv": 0.5, "sensors.csv": 0.5, "commands.csv": 0.5,
           "whole calibration.json": 0.1, "number": 3.0, "text shown": 3.0, "port": 3.0, "pipeline": 3.0}  # of the inputs, 1 by default
