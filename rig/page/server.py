@@ -214,7 +214,7 @@ class _Handler(BaseHTTPRequestHandler):
         page, port = self.server.page, self.server.page.port
         here = (f"{HOST}:{port}", f"localhost:{port}")
         try:
-            if not (self.path.isascii() and self.path.isprintable()):  # control characters are dropped where a URL is taken apart
+            if not (self.requestline.isascii() and self.requestline.isprintable()):  # control characters part words, or are dropped from a URL
                 raise ValueError("no address")
             url = urlsplit(self.path)
             query = parse_qs(url.query, max_num_fields=MOST_FIELDS)

@@ -166,9 +166,10 @@ def test_strangers_neither_use_up_files_nor_shut_out_who_has_the_token(page):
         process.communicate(b"")
 
 
-def test_a_path_with_control_characters_presses_no_button(page):
+@pytest.mark.parametrize("between", [" \x01", "\x1f", "\t"])
+def test_a_request_with_control_characters_presses_no_button(page, between):
     with socket.create_connection(("127.0.0.1", page.port), timeout=20) as asking:
-        asking.sendall(f"POST \x01/stop?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n"
+        asking.sendall(f"POST{between}/stop?token={page.token} HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n"
                        f"Origin: http://127.0.0.1:{page.port}\r\n\r\n".encode())
         assert b" 403 " in asking.recv(100) and page.presses == []
 
