@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.commands.output import Progress, print_unsolved
+from rig.commands.unlearnt import fresh_of, not_learnt
 from rig.errors import RigError
 from rig.number import number
 
@@ -54,7 +55,6 @@ def follow(arguments: Namespace, recording: Recording, sampled: Callable[[], Sam
     from calib.identify.geometry import parameters
     from calib.online import learner_file
     from calib.pages.learnt import Learnt
-    from rig.commands.online import fresh_of, not_learnt
     from rig.kinds import hexapod_of
     from rig.provenance import flat, marks
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.commands import following, from_limbs
 from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
+from rig.commands.unlearnt import fresh_of, not_learnt
 from rig.errors import RigError
 
 if TYPE_CHECKING:
@@ -19,10 +20,8 @@ if TYPE_CHECKING:
     from calib.online.filter import Online, Update
     from calib.pages.learnt import Learnt
     from calib.pipeline import Sampled
-    from calib.samples import Samples
     from calib.store import Calibration
     from rig.design import Arm, Free, Hexapod, Planar2
-    from rig.provenance import Marks
     from rig.recording import Recording
 
 RETURNS = 0.5  # of the sum of its changes' sizes, within which a strut that changes comes back to where it was
@@ -161,16 +160,6 @@ def goes_back(changes: Sequence[Change], strut: int | None) -> bool:
     return len(sizes) > 1 and abs(sum(sizes)) < RETURNS * sum(map(abs, sizes))
 
 
-def fresh_of(samples: Samples, fresh: list[int], recording: Recording) -> Samples:
-    """The Samples of frames that have not been learnt. Raises RigError where none of these has a pose."""
-    import numpy as np
-
-    chosen = np.isin(samples.frame, fresh)
-    if not chosen.any():
-        raise RigError(f"none of the {len(fresh)} frames of {recording.folder} that have not been learnt has a pose")
-    return samples.take(chosen)
-
-
 def _tell(learner: Online, updates: list[Update], frames: np.ndarray, learnt: str) -> None:
     """Say what poses of frames (n,) have taught: how well joints and zeros are known, what jumped, what was left out."""
     import numpy as np
@@ -206,22 +195,6 @@ def _result(learner: Online, updates: list[Update], frames: np.ndarray) -> dict[
 
 def _counted(changes: int) -> str:
     return "nothing jumped" if not changes else f"{changes} change{'s' if changes > 1 else ''}"
-
-
-def not_learnt(recording: Recording, of: Marks, learnt: set[str]) -> list[int]:
-    """Numbers of the frames whose data have not been learnt; how many have been is said. of : Marks of the recording; learnt : marks
-
-    Raises RigError where none is left: what is learnt twice counts twice
-    """
-    from rig.provenance import shared
-
-    frames, again = recording.exposures.times()[0], shared(of, learnt)
-    if len(again) == len(of) > 0:
-        raise RigError(f"all {len(of)} frames of {recording.folder} in which anything is seen have been learnt already; once more they would count "
-                       "twice")
-    if again:
-        print(f"{len(again)} of {len(frames)} frames have been learnt already and are left out")
-    return [frame for frame in frames.tolist() if frame not in set(again)]
 
 
 def _calibration(path: Path, mechanism: Hexapod | Planar2 | Arm | Free) -> Calibration:
