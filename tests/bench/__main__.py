@@ -2,14 +2,15 @@
 
 import sys
 
-from tests.bench import truth
+from tests.bench import masks, truth
 from tests.bench.named import ALL, NAMED
 
 
 def main() -> None:
-    """Run the benchmarks and print a line each: figure, reached, wanted; of `truth` with options, its campaign."""
-    if sys.argv[1:2] == ["truth"] and len(sys.argv) > 2:
-        truth.main(sys.argv[2:])
+    """Run the benchmarks and print a line each: figure, reached, wanted; of `truth` or `masks` with options, its campaign."""
+    campaign = {"truth": truth, "masks": masks}.get(sys.argv[1]) if sys.argv[2:3] and sys.argv[2].startswith("-") else None
+    if campaign is not None:
+        campaign.main(sys.argv[2:])
         return
     for name in sys.argv[1:] or ALL:
         if name not in NAMED:

@@ -17,6 +17,7 @@ from tests.bench import (
     images,
     investigate,
     lens,
+    masks,
     method,
     parameters,
     physics,
@@ -32,4 +33,5 @@ ALL = {"way": way, "forward": forward, "absent": absent, "lens": lens, "corners"
        "diagnosis": diagnosis, "growing": growing, "driving": driving, "correction": correction}
 NAMED = {**ALL, "certificate": certificate, "reach": reach, "physics": physics, "arm_physics": arm_physics, "method": method,
          "formula": formula, "images": images, "beside": beside, "watch": watch, "investigate": investigate,
-         "scale": scale, "truth": truth, "verify": verify, "accusations": accusations}  # minutes: only where they are named
+         "scale": scale, "truth": truth, "verify": verify, "accusations": accusations,
+         "masks": masks}  # minutes: only where they are named
