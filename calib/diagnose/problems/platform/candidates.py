@@ -15,6 +15,7 @@ from rig.effects.candidate import Candidate as EffectCandidate
 from rig.errors import FileError, RigError
 
 SIZED = ("linear", "inverse", "size")  # roles of the numbers that tell how large an effect is
+ROUNDED = 1e-12  # share by which a sinusoid stays below its amplitude's bound, so that rounding does not take it beyond
 SEARCHED = ("log", "even", "moment", "choice")  # roles of parameters that mean nothing without the effect
 
 
@@ -58,12 +59,12 @@ class PlatformCandidate(Candidate):
         return self.spec.effect(node, coefficients)
 
     def allowed(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients (q,) within the bounds; a sinusoid's two together within its amplitude's."""
-        linear = self.spec.linear
-        if len(coefficients) != 2 or linear[1].name != QUADRATURE:
+        """Coefficients (q,) within the bounds; a sinusoid's all together within its amplitude's."""
+        if not len(coefficients) or not any(column.name == QUADRATURE for column in self.spec.linear):
             return Candidate.allowed(self, coefficients)
-        high, size = next(p for p in self.kind.parameters if p.name == linear[0].name).at(self.place).bounds[1], np.hypot(*coefficients)
-        return coefficients * (min(size, high) / size if size else 1.0)
+        amplitude = next(p for p in self.kind.parameters_at(self.place) if p.role == "linear")
+        high, size = amplitude.bounds[1], abs(float(getattr(self.effect({}, coefficients), amplitude.name)))
+        return coefficients * ((1 - ROUNDED) * high / size if size > high else 1.0)
 
     def numbers(self, node: Node, coefficients: np.ndarray) -> dict[str, float]:
         """{name: value} of what `usual` speaks of."""
