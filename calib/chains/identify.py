@@ -13,9 +13,11 @@ import numpy as np
 from calib.chains import model
 from calib.chains.bodies import bodies, hat_of
 from calib.identify.least_squares import Linear, fit
+from calib.identify.robust import MOST as FEW
+from calib.identify.robust import robust_fit
 from calib.samples import Samples
 from rig.design import Chain
-from rig.errors import NotEnoughData
+from rig.errors import NotEnoughData, RigError
 
 ROUNDS = 4  # of weighing anew by what scatters beyond the instrument's own
 SETTLED = 1e-3  # share by which the scatter may still change
@@ -23,6 +25,8 @@ TOLD = 0.25  # share of its plausible variance below which a combination is told
 NAMED = 0.25  # share of a combination's largest part from which a parameter is named
 ALIKE = 0.05  # share of a combination that need not be the motion of a base
 MOST = 4  # parameters that a combination is told by
+ENOUGH = 4  # numbers measured for each parameter, from which a robust start is taken
+GATE = 8.0  # standard deviations, of poses that a robust start leaves out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +102,14 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
             parts = [one.linear(model.moved(nominal, step), W, free) for one, W in zip(measured, white)]
             return Linear(*(np.concatenate(column) for column in zip(*parts)))
 
-        found = fit(linearise, np.zeros(free.sum()), np.zeros(free.sum()), sigma[free], robust=True)
+        start = np.zeros(free.sum())
+        try:
+            found = fit(linearise, start, start, sigma[free], robust=True)
+        except RigError:  # wild poses may lead where no stage closes
+            inliers = _agreeing(linearise(start), rows)
+            if inliers.all():
+                raise
+            found = fit(linearise, start, start, sigma[free], inliers=inliers, robust=True)
         hat = hat_of(linearise(found.parameters), found.inliers, sigma[free])
         again = np.array([one.scatter(W, found.residual[own], found.inliers[own], hat[own]) for one, W, own in zip(measured, white, rows)])
         if np.allclose(again, scatter, rtol=SETTLED, atol=1e-12):
@@ -109,6 +120,20 @@ def identify(samples: Samples, nominal: Chain) -> Identified:
     below = tuple((one.stage, int(found.inliers[own].sum()), len(own)) for one, own in zip(measured, rows) if one.stage is not None)
     return Identified(model.moved(nominal, step), step, covariance, _told(covariance, sigma, nominal), _untold(covariance, sigma, nominal),
                       scatter[0], found.inliers[rows[0]], below)
+
+
+def _agreeing(linear: Linear, rows: list[np.ndarray]) -> np.ndarray:
+    """(n,) bool, poses that a robust fit of all parameters, linear about the owner's figures, does not find far off, from which a fit may start; all
+    where poses are too few for that, or too many are far off. rows : of each body"""
+    near = np.ones(len(linear.residual), bool)
+    for own in rows:
+        columns = np.concatenate([linear.common[own], linear.jacobian[own]], axis=2)
+        if columns[..., 0].size < ENOUGH * columns.shape[2]:
+            continue
+        found = robust_fit([(linear.residual[own], columns)])
+        agree = (np.abs(found.residual) < GATE * np.maximum(1.0, found.scale)).all(axis=1)
+        near[own] = agree if (~agree).mean() <= FEW else True
+    return near
 
 
 def _told(covariance: np.ndarray, sigma: np.ndarray, chain: Chain) -> tuple[tuple[int, int], ...]:

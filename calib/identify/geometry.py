@@ -139,9 +139,11 @@ class Loops:
 
     def agreeing(self, p: np.ndarray) -> np.ndarray:
         """(n,) bool, poses that a robust fit of each strut's loop about parameters p (p,) does not find far off, from which a fit may start; all
-        where poses are too few for that, or too many are far off."""
+        where poses are too few for that, or too many are far off. What parameters may do is asked at the poses that commands give, of which none
+        is wild. Raises NotConverged for commands that no pose closes."""
         T, geometry, every = self.samples.T_base_platform, with_parameters(self.nominal, p), np.ones(len(self.lengths), bool)
-        A, loops = strut_jacobian(T, geometry), loop_jacobian(T, geometry)
+        commanded = mechanisms.of(geometry).forward(self.lengths, geometry)
+        A, loops = strut_jacobian(commanded, geometry), loop_jacobian(commanded, geometry)
         left = self.lengths - mechanisms.of(geometry).inverse(T, geometry)
         sigma = np.sqrt(np.einsum("nij,njk,nik->ni", A, self.samples.covariance, A))
         own = [loops[:, i, loops[:, i].any(axis=0)] for i in range(left.shape[1])]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.spatial import cKDTree
 
 CONSISTENT = 1.4826  # times the median of absolute residuals: the standard deviation of normal ones
@@ -17,6 +18,7 @@ ROUNDS = 12  # of either weights
 ALIKE = 0.5  # of a row's residual, by which its neighbour's may differ and still show the same
 IN_TIME, IN_PLACE = 2, 6  # neighbours either way in time, and in configuration
 MOST = 0.1  # share of rows that may be wild; where more are far off, something is left out of the model
+TAIL = 0.9  # share of rows, by the greatest of which a tail is measured
 GROSS = 10.0  # times the gate, from which a row may be wild in one number alone
 FIRM = 1e-8  # share of a column's square that is added to it, so that columns that repeat one another can be solved for
 
@@ -64,8 +66,10 @@ def wild_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -
     """(n,) bool, rows with a residual beyond the gate that no neighbour shares.
 
     relative : (n, k) residuals over their scatter; t : (n,) s; q : (n, axes) where rows stand
+    gate : where what is left is normal; where its tail is longer, as what is left out of a model has it, by as much more
     """
-    far = np.abs(relative).max(axis=1) > gate
+    far = np.abs(relative).max(axis=1)
+    far = far > gate * tail(relative, gate)
     if not far.any():
         return far
     order = np.argsort(t, kind="stable")
@@ -79,6 +83,14 @@ def wild_rows(relative: np.ndarray, t: np.ndarray, q: np.ndarray, gate: float) -
         apart = np.linalg.norm(relative[others] - relative[i], axis=1)
         out[i] = not (apart < ALIKE * np.linalg.norm(relative[i])).any()
     return out
+
+
+def tail(relative: np.ndarray, gate: float) -> float:
+    """How much longer than a normal one's the tail is of rows (n, k) within a gate, residuals over their scatter; 1 at the least."""
+    size = np.abs(relative).max(axis=1)
+    near = size[size <= gate]
+    usual = scipy.special.ndtri((1 + TAIL ** (1 / relative.shape[1])) / 2)
+    return max(1.0, float(np.quantile(near, TAIL) / usual)) if len(near) else 1.0
 
 
 def several(relative: np.ndarray, gate: float) -> np.ndarray:

@@ -54,7 +54,7 @@ def test_noise_that_nobody_states_proves_nothing(tmp_path):
     poses = Poses(rec.poses.frame, rec.poses.T_base_platform, None)
     assert arms.sample_recording(replace(rec, poses=poses, design=replace(rec.design, instrument=None))).assumed
     found, geometry = arms.arms_of(arms.sample_recording(rec).samples, rec.design, rec.commands)
-    report = arm.report(arms.diagnosed(replace(found, assumed=True), geometry, "rec", "poses.csv", arms.Asked()))
+    report = arm.report(arms.diagnosed(lambda gone: (replace(found, assumed=True), geometry), "rec", "poses.csv", arms.Asked()))
     assert report.noise_from == ASSUMED_NOISE and not report.findings
     assert judged(report).state is State.CHECK and any("nobody states the noise" in reason for reason in judged(report).rests_on)
 

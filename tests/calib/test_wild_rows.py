@@ -17,14 +17,16 @@ from calib.diagnose.report.page import diagnosis_page, judged
 from calib.diagnose.report.platform import report
 from calib.diagnose.report.platform_view import PlatformView
 from calib.identify.geometry import Loops, identify, parameters
-from calib.identify.robust import MOST, robust_fit, several, wild_rows
+from calib.identify.robust import MOST, robust_fit, several, tail, wild_rows
 from calib.pipeline import sample_recording
 from rig import masking, recording
 from rig.judgement import State
 from tests.calib import arm_worlds
 from tests.calib.recorded import recorded
-from tests.rig.arms import UR10
 from tests.calib.wild_rows import posed, spoilt_corners, spoilt_poses
+from tests.rig.arms import UR10
+from tests.truth import draw, record
+from tests.truth.wild import spoilt
 
 HIDDEN = {"backlash:strut3:gap=6e-5": [("backlash", "strut 3")], "missed_steps:strut2:jump=8e-5,time=300": [("missed_steps", "strut 2")],
           "warm_up:strut2:amplitude=6e-5": [("warm_up", "strut 2")]}
@@ -59,6 +61,17 @@ def test_what_a_neighbour_shows_as_well_is_not_wild():
     assert np.flatnonzero(wild_rows(left, t, q, 7.0)).tolist() == [20]
 
 
+def test_where_a_tail_is_long_no_row_in_it_is_wild():
+    """What is left out of a model leaves some rows far off; a wild one is off beyond all of them."""
+    rng = np.random.default_rng(3)
+    t, q, left = np.arange(200.0), rng.uniform(size=(200, 6)), rng.normal(size=(200, 6))
+    assert tail(left, 7.0) == pytest.approx(1.0, abs=0.15)
+    left[rng.permutation(200)[:50]] *= 3.5
+    assert tail(left, 7.0) > 1.8 and np.abs(left).max() > 7 and not wild_rows(left, t, q, 7.0).any()
+    left[20] += 60.0
+    assert np.flatnonzero(wild_rows(left, t, q, 7.0)).tolist() == [20]
+
+
 def test_names_do_not_depend_on_which_wild_rows_are_masked(tmp_path, design):
     for number, (text, expected) in enumerate(list(HIDDEN.items())[:2]):
         rng = np.random.default_rng(number)
@@ -83,6 +96,27 @@ def test_rows_that_were_left_out_are_listed_with_why(tmp_path, design):
     diagnosis_page(tmp_path / "page.html", told, PlatformView(rec, found))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Left out before anything was searched" in page and entry["reason"] in page and judged(told).state is State.CHECK
+
+
+def test_a_pose_far_from_all_others_does_not_hide_itself(tmp_path, design):
+    """At a pose of another length unit the struts lie as at no other: geometry may explain it alone."""
+    rec = posed(tmp_path / "rec", design, [], 3)
+    poses = rec.poses.T_base_platform.as_matrix()
+    poses[44, :3, 3] *= 1e-3
+    bad = replace(rec, poses=replace(rec.poses, T_base_platform=type(rec.poses.T_base_platform).from_matrix(poses)))
+    found = diagnose(bad, ["backlash"])
+    assert [one.frame for one in found.wild.left_out] == [44] and names(found) == [] and found.left == []
+
+
+def test_a_chain_with_wild_poses_is_diagnosed_as_without_them(tmp_path):
+    """One whose fit would lead where no stage closes."""
+    case = draw(1037, "axis_coupling", "strong", "sobol", "chain", 80)
+    bad, frames, _ = spoilt(case, 1037)
+    rec, mask = recording.load(record(bad, tmp_path / "wild")), ",".join(map(str, frames))
+    found, expected = (arm_diagnose(one, ["scale_error"]) for one in (rec, masking.masked(rec, mask)))
+    assert {one.frame for one in found.left_out} == set(frames.tolist()) and expected.left_out == ()
+    told, without = (arm_report(one).tree()["findings"] for one in (found, expected))
+    assert told == without and [f["effect"] for f in told] == ["scale_error"]
 
 
 def test_many_rows_far_off_are_no_wild_rows(tmp_path, design):
@@ -114,8 +148,10 @@ def test_what_an_arm_lists_as_left_out_is_what_its_last_search_left_out(tmp_path
     monkeypatch.setattr(arm_problem, "ROUNDS", rounds)
     rng = np.random.default_rng(2)
     arm_worlds.write(tmp_path / "rec", UR10, arm_worlds.tracked(arm_worlds.secret(UR10, rng), UR10, 60, rng))
-    found = arm_diagnose(spoilt_poses(recording.load(tmp_path / "rec"), rng)[0], ["scale_error"])
-    assert sorted(one.frame for one in found.left_out) == found.arms.frame[~found.fit.used].tolist() and bool(found.left_out) == (rounds > 1)
+    rec = spoilt_poses(recording.load(tmp_path / "rec"), rng)[0]
+    found = arm_diagnose(rec, ["scale_error"])
+    searched = found.arms.frame[found.fit.used]
+    assert sorted(one.frame for one in found.left_out) == np.setdiff1d(rec.poses.frame, searched).tolist() and bool(found.left_out) == (rounds > 1)
 
 
 def test_a_misread_marker_is_left_out_alone(tmp_path, design):

@@ -1,5 +1,6 @@
 """A recording of an arm, or of a chain of mechanisms -> its ArmDiagnosis: which effect sits at which joint, how large, how sure, what has no name."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -22,10 +23,10 @@ from calib.diagnose.problems.arm.covariates import covariates
 from calib.diagnose.problems.arm.fit import Fit, fit
 from calib.diagnose.problems.arm.formulas import suggestions
 from calib.diagnose.problems.arm.lack_of_fit import lack_of_fit
-from calib.diagnose.problems.arm.poses import Arms, Geometry, arms_of
+from calib.diagnose.problems.arm.poses import FEWEST, Arms, Geometry, arms_of
 from calib.diagnose.problems.arm.problem import ArmProblem
 from calib.diagnose.problems.arm.repeats import Repeats, repeats
-from calib.diagnose.problems.arm.wild import GATE, GROSS, wild_poses
+from calib.diagnose.problems.arm.wild import GATE, GROSS, WildPoses, wild_poses
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.temperature_smoothing import smoothed
@@ -112,28 +113,43 @@ def diagnose(recording: Recording, only: list[str] | None = None, without: tuple
     """
     sampled = sample_recording(recording, progress=progress)
     sensors, _ = smoothed(recording.sensors)
-    arms, found = arms_of(sampled.samples, replace(recording.design, instrument=sampled.instrument), recording.commands, sensors)
-    arms = replace(arms, assumed=sampled.assumed)
+    sight = None
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
-        arms = replace(arms, sight=partial(foreseen, sampled.measurement, recording.design))
-    done = diagnosed(arms, found, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
+        sight = partial(foreseen, sampled.measurement, recording.design)
+    design = replace(recording.design, instrument=sampled.instrument)
+
+    def linear(gone: frozenset[int]) -> tuple[Arms, Geometry]:
+        some = sampled.samples.take(~np.isin(sampled.samples.frame, sorted(gone))) if gone else sampled.samples
+        arms, found = arms_of(some, design, recording.commands, sensors, fewest=0 if gone else FEWEST)
+        return replace(arms, assumed=sampled.assumed, sight=sight), found
+
+    done = diagnosed(linear, recording.name, sampled.source, Asked.of(only, without, given, kinds), progress, given=given)
     return replace(done, origin=recording.origin, parts=recording.parts, confounds=of_recordings([recording]))
 
 
-def diagnosed(arms: Arms, found: Geometry, name: str, source: str, asked: Asked, progress: Progress | None = None,
+def diagnosed(linear: Callable[[frozenset[int]], tuple[Arms, Geometry]], name: str, source: str, asked: Asked, progress: Progress | None = None,
               coarse: bool = True, given: Given = UNSAID) -> ArmDiagnosis:
-    """ArmDiagnosis of Arms linear about a Geometry; coarse : whether long stretches are held out as well."""
+    """ArmDiagnosis of what is linear: frames' numbers left out as wild -> (Arms of all others, Geometry that they are linear about), made anew
+    without them, so that all is as if they had never been measured. coarse : whether long stretches are held out as well."""
+    (arms, found), wild = linear(frozenset()), WildPoses()
+    every = len(arms)
     candidates, not_asked = joint_candidates(arms, asked)
     given = answerable(given, candidates, not_asked)
-    wild = wild_poses(arms, arms.left, np.zeros(len(arms), bool), GROSS)
+    for _ in range(ROUNDS):
+        before, wild = wild.frames, wild.with_more(wild_poses(arms, arms.left, GROSS), every)
+        if wild.frames == before:
+            break
+        arms, found = linear(wild.frames)
     for turn in range(ROUNDS):
-        problem = ArmProblem(arms, candidates, ~wild.rows, given=given)
+        candidates, not_asked = joint_candidates(arms, asked)
+        problem = ArmProblem(arms, candidates, given=given)
         selection = select(problem, progress)
         last = turn == ROUNDS - 1  # what would show only now was searched, and is not left out
-        both = wild if last else wild.with_more(wild_poses(arms, selection.fit.left, wild.rows, GATE))
-        if both.left_out == wild.left_out:
+        both = wild if last else wild.with_more(wild_poses(arms, selection.fit.left, GATE), every)
+        if both.frames == wild.frames:
             break
         wild = both
+        arms, found = linear(wild.frames)
     chosen = selection.fit
     held = nested(problem, (FINE, COARSE) if coarse else (FINE,), progress)
     again, fitted = repeats(chosen), found.at(chosen.theta[: found.basis.shape[1]])

@@ -84,14 +84,16 @@ class Geometry:
         return self.move(self.basis @ sizes)
 
 
-def arms_of(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None) -> tuple[Arms, Geometry]:
+def arms_of(samples: Samples, design: Design, commands: Commands | None = None, sensors: Sensors | None = None,
+            fewest: int = FEWEST) -> tuple[Arms, Geometry]:
     """(Arms, Geometry) of Samples: calibrated, and linear about it.
 
     design : whose mechanism is the nominal Arm or Chain; commands : the whole path; the samples' own commands in their order where None
+    fewest : poses that it takes
     Raises NotEnoughData for too few poses, RigError for what is neither, and what calibrating raises
     """
-    if len(samples) < FEWEST:
-        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {FEWEST}, better 500")
+    if len(samples) < fewest:
+        raise NotEnoughData(f"{len(samples)} poses are too few to diagnose an arm or a chain; it takes {fewest}, better 500")
     if samples.measured in ("orientation", "distance"):
         raise RigError(f"an arm is diagnosed by its poses or positions; the {samples.measured} alone was measured")
     linear = _of_arm if isinstance(design.mechanism, Arm) else _of_chain if isinstance(design.mechanism, Chain) else None

@@ -18,39 +18,36 @@ REASON = "what was measured and the command agree with no other pose, neither th
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildPoses:
-    """rows : (n,) bool, poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in too many, or None."""
+    """frames : numbers of poses left out; left_out : (LeftOut, ..) of them; crowd : Crowd of poses that are far off in too many, or None."""
 
-    rows: np.ndarray
+    frames: frozenset[int] = frozenset()
     left_out: tuple[LeftOut, ...] = ()
     crowd: Crowd | None = None
 
-    def with_more(self, more: "WildPoses") -> "WildPoses":
-        """Both together; where these are too many, the first alone and the crowd that they are."""
-        rows = self.rows | more.rows
-        if rows.sum() > MOST * len(rows):
-            return WildPoses(self.rows, self.left_out, Crowd("poses", int(rows.sum()), len(rows)))
-        return WildPoses(rows, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
+    def with_more(self, more: "WildPoses", count: int) -> "WildPoses":
+        """Both together, of so many poses; where these are too many, the first alone and the crowd that they are."""
+        frames = self.frames | more.frames
+        if len(frames) > MOST * count:
+            return WildPoses(self.frames, self.left_out, Crowd("poses", len(frames), count))
+        return WildPoses(frames, tuple(sorted(self.left_out + more.left_out, key=lambda one: one.frame)), more.crowd or self.crowd)
 
 
-def wild_poses(arms: Arms, left: np.ndarray, gone: np.ndarray, gate: float) -> WildPoses:
-    """WildPoses by residuals left (n, k), m and rad, beyond a gate, of which some (n,) bool are left out already."""
-    rows = np.flatnonzero(~gone)
-    W = np.linalg.inv(np.linalg.cholesky(arms.own[rows]))
-    columns = np.concatenate([arms.freedoms[rows], _smooth(arms)[rows]], axis=2)[..., : left[rows].size // ROWS]
-    found = robust_fit([((W @ left[rows, :, None])[..., 0], W @ columns)])
+def wild_poses(arms: Arms, left: np.ndarray, gate: float) -> WildPoses:
+    """WildPoses by residuals left (n, k), m and rad, beyond a gate."""
+    W = np.linalg.inv(np.linalg.cholesky(arms.own))
+    columns = np.concatenate([arms.freedoms, _smooth(arms)], axis=2)[..., : left.size // ROWS]
+    found = robust_fit([((W @ left[..., None])[..., 0], W @ columns)])
     all_off = _relative(found.residual)
-    far = wild_rows(all_off, arms.t[rows], arms.q[rows], gate)
-    out = np.zeros(len(arms), bool)
+    far = wild_rows(all_off, arms.t, arms.q, gate)
     if far.sum() > MOST * len(arms):
-        return WildPoses(out, crowd=Crowd("poses", int(far.sum()), len(arms)))
-    out[rows[far]] = True
+        return WildPoses(crowd=Crowd("poses", int(far.sum()), len(arms)))
     residual = np.linalg.solve(W[far], found.residual[far, :, None])[..., 0]
     told = []
-    for row, off, relative in zip(rows[far], residual, np.abs(all_off[far])):
+    for frame, off, relative in zip(arms.frame[far].tolist(), residual, np.abs(all_off[far])):
         turned = int(relative.argmax()) >= 3
         size = float(np.linalg.norm(off[3:] if turned else off[:3]))
-        told.append(LeftOut(int(arms.frame[row]), "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
-    return WildPoses(out, tuple(told))
+        told.append(LeftOut(frame, "pose", "rig", size, "rad" if turned else "m", float(relative.max()), REASON))
+    return WildPoses(frozenset(arms.frame[far].tolist()), tuple(told))
 
 
 def _relative(residual: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from calib.diagnose.problems.histories import cosines, speed, unit
 from calib.diagnose.problems.platform.operating_point import OperatingPoint, seen_of
 from calib.identify.geometry import loop_jacobian, strut_jacobian
 from calib.identify.robust import ALIKE, CONSISTENT, IN_PLACE, IN_TIME, MOST, robust_fit, several, wild_rows
+from rig import mechanisms
 from rig.recording import PAYLOAD
 from vision.observations import only
 
@@ -90,9 +91,11 @@ def without(point: OperatingPoint, wild: Wild) -> OperatingPoint:
 
 
 def _wild_frames(k: OperatingPoint, covariance: np.ndarray) -> Wild:
-    """Wild of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut."""
+    """Wild of frames whose struts' closures are far off what geometry, moves, load and time may do smoothly, in more than one strut. What geometry
+    may do is asked at the poses that commands give: at a pose that is wild it may do anything."""
     m, closures = k.platform, k.closures()
-    A, loops, smooth = strut_jacobian(k.T, m), loop_jacobian(k.T, m), _smooth(k)
+    T = mechanisms.of(m).forward(k.commanded.at(k.t), m)
+    A, loops, smooth = strut_jacobian(T, m), loop_jacobian(T, m), _smooth(k)
     sigma = np.sqrt(np.einsum("fij,fjk,fik->fi", A, covariance, A))
     parts = []
     for i in range(k.axes):
