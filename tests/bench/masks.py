@@ -32,7 +32,7 @@ from tests.truth.wild import spoilt
 
 RECORDINGS, FEW = 40, 3  # in all, and of the benchmark that is run by name
 KINDS = ("hexapod", "arm", "hexapod", "planar2", "hexapod", "chain", "arm", "seen")
-POSES = {"hexapod": 60, "arm": 80, "planar2": 60, "chain": 60, "seen": 40}  # configurations that are visited
+POSES = {"hexapod": 60, "arm": 80, "planar2": 60, "chain": 80, "seen": 40}  # configurations that are visited
 WHOLE = 5  # every so many recordings hide nothing
 MASKS = ("none", "half", "the other half", "another half", "all")
 
