@@ -136,8 +136,8 @@ def diagnosed(linear: Callable[[frozenset[int]], tuple[Arms, Geometry]], name: s
     candidates, not_asked = joint_candidates(arms, asked)
     given = answerable(given, candidates, not_asked)
     for _ in range(ROUNDS):
-        before, wild = wild.frames, wild.with_more(wild_poses(arms, arms.left, GROSS), every)
-        if wild.frames == before:
+        known, wild = wild.frames, wild.with_more(wild_poses(arms, arms.left, GROSS), every)
+        if wild.frames == known:
             break
         arms, found = linear(wild.frames)
     for turn in range(ROUNDS):
