@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.diagnose.report.schema import Report
+from calib.diagnose.report.report import Report
 from calib.from_recordings import diagnosed
 from docs.make.results import SCHEMA
 from rig import masking, recording
