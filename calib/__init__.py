@@ -25,4 +25,4 @@ __all__ = ["calibrated", "diagnosed", "certified", "commanded", "load", "save", 
 __getattr__ = handed_on(__name__, {
     **dict.fromkeys(("calibrated", "diagnosed", "certified"), "calib.from_recordings"),
     **dict.fromkeys(("commanded", "Commanded"), "calib.commands"), **dict.fromkeys(("load", "save"), "calib.store"),
-    "Calibration": "calib.certify.calibration", "Report": "calib.diagnose.report.schema", "Certificate": "calib.statement.certificate"})
+    "Calibration": "calib.certify.calibration", "Report": "calib.diagnose.report.report", "Certificate": "calib.statement.certificate"})
