@@ -24,7 +24,7 @@ def complaint(pipeline: str) -> str | None:
         last = number == len(parts) - 1
         if last and element != END:
             return f"ends in {element!r}, and must end in {END}"
-        if not (last or READING.fullmatch(element) or CONVERTING.fullmatch(element)):
+        if not last and ("sink" in element or not (READING.fullmatch(element) or CONVERTING.fullmatch(element))):
             return f"names {element!r}; only elements that read, decode or convert images are opened, since others may write files"
         wrong = next((one for one in settings if not SETTING.fullmatch(one)), None)
         if wrong is not None:
