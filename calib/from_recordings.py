@@ -19,7 +19,8 @@ from calib.diagnose.report.report import Report
 from calib.kept import SEED, kept
 from calib.pipeline import Sampled, sample_recording
 from calib.statement import certificate as statement
-from calib.statement.certificate import Asked, Certificate
+from calib.statement.certificate import Certificate
+from calib.statement.contents import Asked
 from rig.errors import RigError
 from rig.kinds import arm_of, chain_of, struts_of
 from rig.provenance import flat, marks, shared

@@ -7,72 +7,32 @@ from typing import Any
 import numpy as np
 
 from calib.certify import conformity, tolerance_limits
-from calib.certify.against_claim import AgainstClaim
-from calib.certify.budget import Budget, budget, rms, thermometer
+from calib.certify.budget import budget, rms, thermometer
 from calib.certify.calibration import Calibration
 from calib.certify.conformity import Conformity
-from calib.certify.held_out import Figures, errors_of, figures
+from calib.certify.held_out import errors_of, figures
 from calib.certify.held_poses import HeldPoses, held_poses
-from calib.certify.iso9283 import Iso9283, duty_of, iso9283
-from calib.certify.promise import POSITION, ROTATION, Cell, Promise, Unit, cells, depth_bound, promised
-from calib.certify.repeats import Repeatability, repeatability
-from calib.certify.reversal import AxisTest, iso230
-from calib.confounds import Confounds, of_recordings
+from calib.certify.iso9283 import duty_of, iso9283
+from calib.certify.promise import POSITION, ROTATION, Unit, cells, depth_bound, promised
+from calib.certify.repeats import repeatability
+from calib.certify.reversal import iso230
+from calib.confounds import of_recordings
 from calib.pipeline import Sampled
 from calib.pose_covariance import pose_covariance
-from calib.statement.conditions import Conditions, Volume, conditions, volume
-from rig.judgement import Evidence
+from calib.statement import words
+from calib.statement.conditions import conditions, volume
+from calib.statement.contents import Asked, Contents
 from rig.errors import NotEnoughData
 from rig.notebook import shown
 from rig.recording import Recording
 
 
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """coverage, confidence : of the promise; tolerances : {"position": m, "rotation": rad} to judge against, either or none
-    scale : relative standard uncertainty of the targets' scale, None where nobody certified it; scale_source : who did, in words
-    rated_load : kg that the machine is made for, None where not stated."""
-
-    coverage: float = 0.95
-    confidence: float = 0.95
-    tolerances: tuple[tuple[str, float], ...] = ()
-    scale: float | None = None
-    scale_source: str | None = None
-    rated_load: float | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
-    """What is certified. machine : its kind; calibrated_from : recording, in words; asked : Asked; promise, cells : whole volume and boxes of it
-    errors : (n, 6) m and rad of the poses that count, for drawing; before, after : Figures by the owner's model and calibrated, of those
-    provenance : {what: value} of inputs' hashes, versions, seed and arguments; confounds : of the held-out recordings
-    known : Evidence of the calibration, what these recordings say of its claim included; claims : AgainstClaim of each recording, none where no
-    factor is claimed."""
-
-    machine: str
-    asked: Asked
-    promise: Promise
-    cells: tuple[Cell, ...]
-    volume: Volume
-    repeatability: Repeatability
-    iso9283: Iso9283
-    iso230: tuple[AxisTest, ...]
-    conformity: tuple[Conformity, ...]
-    budget: Budget
-    conditions: Conditions
-    errors: np.ndarray
-    before: Figures
-    after: Figures
-    provenance: dict[str, Any]
-    confounds: Confounds | None = None
-    known: Evidence | None = None
-    claims: tuple[AgainstClaim, ...] = ()
+class Certificate(Contents):
+    """A certificate that a notebook shows in its own sentences; see Contents."""
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
-        from calib.statement import words  # which stands on this
-
         return shown(words.promise_line(self), [
             words.scale_line(self), words.volume_line(self), *words.rest_lines(self), *words.conformity_lines(self)])
 

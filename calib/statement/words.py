@@ -6,7 +6,7 @@ from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.reversal import AxisTest
 from calib.certify.verdict import elsewhere
-from calib.statement.certificate import Certificate
+from calib.statement.contents import Contents
 
 
 def um(value: float) -> str:
@@ -24,7 +24,7 @@ def share(value: float) -> str:
     return f"{100 * value:.4g} %"
 
 
-def scale_line(c: Certificate) -> str:
+def scale_line(c: Contents) -> str:
     """Whose scale the certificate rests on."""
     holder = c.conditions.frame
     if c.asked.scale is None:
@@ -34,18 +34,18 @@ def scale_line(c: Certificate) -> str:
     return f"Scale held by {holder}, standard uncertainty {c.asked.scale * 1e6:.3g} um/m{by}; it is part of the promise."
 
 
-def _far(c: Certificate) -> float:
+def _far(c: Contents) -> float:
     return float(sum(max(abs(low), abs(high)) ** 2 for low, high in zip(c.volume.low, c.volume.high)) ** 0.5)
 
 
-def promise_line(c: Certificate) -> str:
+def promise_line(c: Contents) -> str:
     """What is promised."""
     p = c.promise
     both = um(p.position.upper) if p.rotation is None else f"both {um(p.position.upper)} and {urad(p.rotation.upper)}"
     return f"With {share(p.confidence)} confidence, {share(p.coverage)} of poses in this volume lie within {both} of where they should be."
 
 
-def volume_line(c: Certificate) -> str:
+def volume_line(c: Contents) -> str:
     """Which volume is meant."""
     v = c.volume
     box = ", ".join(f"{axis} {low * 1e3:.1f} to {high * 1e3:.1f} mm" for axis, low, high in zip("xyz", v.low, v.high))
@@ -55,7 +55,7 @@ def volume_line(c: Certificate) -> str:
     return f"The volume: {box}{turned}; {axes} {unit}."
 
 
-def rest_lines(c: Certificate) -> list[str]:
+def rest_lines(c: Contents) -> list[str]:
     """On what the promise rests, in a few lines."""
     p, r = c.promise, c.repeatability
     lines = [f"From {p.n} distinct configurations, none of which took part in fitting; as measured, noise and all, the limit is "
@@ -95,13 +95,13 @@ def _sentence(line: str) -> str:
     return line[:1].upper() + line[1:] + "."
 
 
-def _median(c: Certificate) -> float:
+def _median(c: Contents) -> float:
     import numpy as np
 
     return float(np.median(np.linalg.norm(c.errors[:, :3], axis=1)))
 
 
-def conformity_lines(c: Certificate) -> list[str]:
+def conformity_lines(c: Contents) -> list[str]:
     """One sentence for the tolerances, and what each alone shows where there are two."""
     if not c.conformity:
         return []
@@ -125,11 +125,11 @@ def conformity_lines(c: Certificate) -> list[str]:
     return lines
 
 
-def _each(c: Certificate, limit: str) -> str:
+def _each(c: Contents, limit: str) -> str:
     return " with ".join((um if k.quantity == "position" else urad)(getattr(k, limit)) for k in c.conformity)
 
 
-def iso9283_line(c: Certificate) -> str:
+def iso9283_line(c: Contents) -> str:
     """What of ISO 9283 there is."""
     t = c.iso9283
     n, mean, most = t.random

@@ -114,7 +114,8 @@ def run(arguments: Namespace) -> int:
     import numpy as np
 
     from calib.statement import provenance, tree
-    from calib.statement.certificate import Asked, certified
+    from calib.statement.certificate import certified
+    from calib.statement.contents import Asked
     from calib.statement.judgement import judged
 
     wanted = Asked(arguments.coverage, arguments.confidence, tuple(asked.items()), arguments.scale_uncertainty, arguments.scale_source,

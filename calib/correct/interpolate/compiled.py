@@ -2,16 +2,13 @@
 
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from rig.kernel import njit
 
 STEPS = 100  # of a fixed point
-
-if TYPE_CHECKING:
-    from calib.correct.interpolate.grid import Grid
 
 
 class Tables(NamedTuple):
@@ -23,15 +20,6 @@ class Tables(NamedTuple):
     cells: np.ndarray
     strides: np.ndarray
     values: np.ndarray
-
-
-def tables(grid: "Grid") -> Tables:
-    """Tables of a Grid."""
-    most = max(grid.shape)
-    levels, inverse = np.full((len(grid.levels), most), np.inf), np.zeros((len(grid.levels), most - 1))
-    for i, level in enumerate(grid.levels):
-        levels[i, : len(level)], inverse[i, : len(level) - 1] = level, 1 / np.diff(level)
-    return Tables(levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values))
 
 
 class SimplexKernels(NamedTuple):

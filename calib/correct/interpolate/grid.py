@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from calib.correct.interpolate.compiled import Tables, tables
+from calib.correct.interpolate.compiled import Tables
 from calib.correct.interpolate.field import Known, averaged
 from calib.correct.interpolate.weighted import Weighted
 from rig.errors import RigError
@@ -74,7 +74,7 @@ class Grid(Weighted):
         if self.values.shape != self.variances.shape or self.values.shape[0] != vertices or self.misfit.shape != self.values.shape[1:]:
             raise ValueError(f"a grid of {vertices} vertices has values {self.values.shape}, variances {self.variances.shape} and misfit "
                              f"{self.misfit.shape}")
-        object.__setattr__(self, "tables", tables(self))
+        object.__setattr__(self, "tables", _tables(self))
 
     @classmethod
     def fit(cls, known: Known) -> Self:
@@ -140,3 +140,12 @@ def _misfit(grid: Grid) -> np.ndarray:
         left = grid.values - plane @ np.linalg.lstsq(plane, grid.values, rcond=None)[0]
         square += np.maximum((left**2).sum(axis=0) / max(len(left) - plane.shape[1], 1) - noise, 0)
     return np.sqrt(square)
+
+
+def _tables(grid: Grid) -> Tables:
+    """Tables of a Grid."""
+    most = max(grid.shape)
+    levels, inverse = np.full((len(grid.levels), most), np.inf), np.zeros((len(grid.levels), most - 1))
+    for i, level in enumerate(grid.levels):
+        levels[i, : len(level)], inverse[i, : len(level) - 1] = level, 1 / np.diff(level)
+    return Tables(levels, inverse, np.array(grid.shape) - 1, grid.strides().astype(np.int64), np.ascontiguousarray(grid.values))
