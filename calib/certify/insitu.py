@@ -5,15 +5,15 @@ not used for that: bias, scatter, and limits of agreement, axis by axis, against
 on-line learning patent for Stewart platforms, [0016]-[0021]; Bland and Altman, Lancet 327, 1986 (limits of agreement).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify import limb_closure
-from calib.certify.limb_closure import Checks
-from calib.identify.geometry import Identified, identify, pose_jacobian
+from calib.certify.limbs import Limbs
+from calib.identify.geometry import Identified, identify
 from calib.samples import Samples, blocks
 from rig.design import Design, Hexapod, MeasuringLimbs
 from rig.errors import NotEnoughData, RigError
@@ -53,29 +53,6 @@ class Agreement:
     def passed(self) -> np.ndarray:
         """(6,) bool, whether each axis agrees within its tolerance, shown over a range that says so."""
         return (self.surely <= self.tolerance) & (self.moved >= MOVES * self.tolerance)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Limbs:
-    """A measuring rig that can be read: hexapod : Hexapod of the six limbs that tell poses; covariance : (42, 42) m^2 of that; sigma : (6,) m of
-    a reading; chosen : (6,) their numbers among all limbs, from 0; checks : Checks, the others, or None where nobody has fitted them"""
-
-    hexapod: Hexapod
-    covariance: np.ndarray
-    sigma: np.ndarray
-    chosen: np.ndarray = field(default_factory=lambda: np.arange(6))
-    checks: Checks | None = None
-
-    def pose(self, lengths: np.ndarray, guess: RigidTransform | None = None) -> RigidTransform:
-        """T_base_platform (...) of readings (..., limbs) m. Raises NotConverged like the mechanism."""
-        return mechanism.forward(np.asarray(lengths)[..., self.chosen], self.hexapod, guess)
-
-    def uncertainty(self, T_base_platform: RigidTransform) -> tuple[np.ndarray, np.ndarray]:
-        """(own (..., 6, 6) covariance of a pose's readings, common (..., 6, 42) factor of what the limbs' geometry adds to all poses)."""
-        back = np.linalg.inv(mechanism.jacobian(T_base_platform, self.hexapod))
-        own = back @ np.diag(self.sigma**2) @ np.swapaxes(back, -1, -2)
-        half = np.linalg.cholesky((self.covariance + self.covariance.T) / 2)
-        return own, pose_jacobian(T_base_platform, self.hexapod) @ half
 
 
 def measuring(design: Design) -> MeasuringLimbs:

@@ -4,23 +4,18 @@ A check's own joints and zero are fitted to the poses that the six told while vi
 matter of vision's frame: some limb reads otherwise than it did. Source: Merlet, Parallel Robots, 2nd ed., ch. 9 (redundant sensors).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from calib.certify.limbs import Checks, Limbs
 from calib.identify.geometry import PRIOR
 from calib.samples import blocks
 from rig.design import Design, MeasuringLimbs
 from rig.errors import NotConverged, RigError
 from rig.mechanisms import redundant
-
-if TYPE_CHECKING:
-    from calib.certify.insitu import Limbs
 
 STEPS, SETTLED = 20, 1e-11  # of fitting a leg; m at which it ends
 FOLDS = 4  # stretches of poses, each told by what was fitted to the others
@@ -28,19 +23,6 @@ RARE = 1e-6  # share of honest poses at which the checks do not close
 IN_A_ROW = 3  # poses that do not close, from which it is no single wrong reading
 WHO = "The measuring limbs no longer agree with each other"
 CLEAR = 0.5  # share of the squares that one limb must explain to be named
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Checks:
-    """k limbs beyond the six. limbs : (k,) their numbers among all, from 0; base, platform : (k, 3) m; zeros : (k,) m
-    covariance : (k, 7, 7) m^2 of base joint, platform joint and zero; sigma : (k,) m of a reading, what the fit leaves included"""
-
-    limbs: np.ndarray
-    base: np.ndarray
-    platform: np.ndarray
-    zeros: np.ndarray
-    covariance: np.ndarray
-    sigma: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)

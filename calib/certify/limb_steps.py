@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from calib.certify.insitu import Limbs
+from calib.certify.limbs import Limbs
 from calib.identify.geometry import PRIOR
 from calib.samples import Samples
 from rig.mechanisms import redundant

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from calib.certify.insitu import Limbs
+from calib.certify.limbs import Limbs
 from calib.online.change_detection import Change
 from calib.online.filter import Online
 

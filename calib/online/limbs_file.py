@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.certify.insitu import Agreement, Limbs, measuring, stated
-from calib.certify.limb_closure import Checks
+from calib.certify.insitu import Agreement, measuring, stated
+from calib.certify.limbs import Checks, Limbs
 from calib.mechanism_file import mechanism_in, mechanism_out
 from calib.store import covariance_in
 from rig import json_file

@@ -15,7 +15,8 @@ from rig.number import number
 if TYPE_CHECKING:
     import numpy as np
 
-    from calib.certify.insitu import Agreement, Limbs
+    from calib.certify.insitu import Agreement
+    from calib.certify.limbs import Limbs
     from calib.online.limbs_file import Accepted
     from calib.pipeline import Sampled
     from rig.recording import Recording

@@ -9,7 +9,7 @@ import pytest
 from calib import store
 from calib.certify import insitu
 from calib.certify.calibration import Calibration
-from calib.certify.insitu import Limbs
+from calib.certify.limbs import Limbs
 from calib.correct.correction import Correction
 from calib.online import limbs_file
 from rig.cli import main

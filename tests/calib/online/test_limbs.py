@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.certify import insitu, limb_steps
-from calib.certify.insitu import Limbs
+from calib.certify.limbs import Limbs
 from calib.identify.geometry import pose_jacobian
 from calib.online import limb_source, limbs_file
 from calib.online.filter import Online
