@@ -22,7 +22,7 @@ from rig.kinds import Struts
 from rig.recording import PAYLOAD, Recording
 
 DIRECTION, TIME, LOAD = "direction of approach", "time", "load"
-ABSORBED = 0.5  # share of a cause, beyond chance, from which a correction by place absorbs more of it than it leaves
+ABSORBED = 0.75  # share of a cause, beyond chance, from which its size is known half as well beside a correction by place as without one
 CHANCE = 1e-3  # probability, over all rows, below which a share is no chance
 EVEN = 60.0  # s between configurations of a plan that states no times, long enough for any drift
 SPARE = 3  # configurations beyond the functions of place, without which nothing is stated
@@ -55,7 +55,10 @@ class Confounds:
 
     @property
     def serious(self) -> tuple[Confound, ...]:
-        """The rows that the recording's design cannot separate: a function of place beyond chance, by more than half."""
+        """The rows that the recording's design cannot separate: a function of place beyond chance, by three quarters or more.
+
+        The standard error of such a cause's size is twice what it would be without a correction by place (a variance inflation of 4).
+        """
         limit = CHANCE / max(len(self.rows), 1)
         return tuple(row for row in self.rows if row.adjusted >= ABSORBED and row.p_value < limit)
 
@@ -69,7 +72,7 @@ class Confounds:
         greatest = max(self.rows, key=lambda row: row.adjusted)
         causes = [cause for cause in (DIRECTION, TIME, LOAD) if any(row.cause == cause for row in self.rows)]
         causes += ["temperatures"] if any(row.cause not in (DIRECTION, TIME, LOAD) for row in self.rows) else []
-        return (f"no confound with place beyond chance ({', '.join(causes)}): the greatest, {greatest.cause} on {greatest.axis}, is "
+        return (f"no cause is confounded with place ({', '.join(causes)}): the greatest, {greatest.cause} on {greatest.axis}, is "
                 f"{greatest.share:.0%} a function of place, {greatest.chance:.0%} by chance").replace("%", " %")
 
     def tree(self) -> dict[str, Any]:

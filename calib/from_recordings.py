@@ -17,6 +17,7 @@ from calib.diagnose.report import arm as arm_report
 from calib.diagnose.report import platform as platform_report
 from calib.diagnose.report.report import Report
 from calib.kept import SEED, kept
+from calib.left_out import searched
 from calib.pipeline import Sampled, sample_recording
 from calib.statement import certificate as statement
 from calib.statement.certificate import Certificate
@@ -31,7 +32,7 @@ from rig.recording import Recording
 def calibrated(recording: Recording, progress: Progress | None = None) -> Calibration:
     """Calibration of a recording, as `rig calibrate` makes it: geometry fitted to its poses, what pays beyond it, what both are worth elsewhere.
 
-    progress : called with (label, done, of), or None
+    What it leaves out is looked for as `diagnosed` does, and stands in its claim. progress : called with (label, done, of), or None
     Raises RigError without commands, NotEnoughData without poses, NotConverged where no geometry agrees with them
     """
     rng = np.random.default_rng(SEED)
@@ -39,12 +40,14 @@ def calibrated(recording: Recording, progress: Progress | None = None) -> Calibr
         sampled = sample_recording(recording, progress=progress)
         if recording.design.mechanism.kind == "arm":
             found = arm_certify.certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress)
-            return kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
+            made = kept(recording, sampled, found, arm_certify.promised(sampled.samples, found, rng))
+            return searched(made, recording, sampled, progress)
         if recording.design.mechanism.kind == "chain":
             together = chain_certify.certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
-            return kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
+            made = kept(recording, sampled, together, chain_certify.promised(sampled.samples, together, rng))
+            return searched(made, recording, sampled, progress)
         done = certificate.certify(sampled.samples, struts_of(recording.design.mechanism), rng, progress)
-        return kept(recording, sampled, done, certificate.promised(sampled.samples, done, rng))
+        return searched(kept(recording, sampled, done, certificate.promised(sampled.samples, done, rng)), recording, sampled, progress)
 
 
 def diagnosed(recording: Recording, only: Sequence[str] | None = None, without: Sequence[str] = (), progress: Progress | None = None) -> Report:

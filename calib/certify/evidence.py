@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,17 @@ ONWARD = ("Take another recording and hold the calibration against it: `rig cert
 TAKE_IN = ("Determine what is left out: `rig diagnose REC --out found`; take it in: `rig calibrate REC --diagnosis found --out calibration.json`")
 
 
+class OfCalibrations(NamedTuple):
+    """What is known of calibrations made from a recording, which holds for all else that is learnt from it. refuted : which are, and by what, and
+    unexplained : what they leave so, a sentence each"""
+
+    refuted: tuple[str, ...] = ()
+    unexplained: tuple[str, ...] = ()
+
+
+ALONE = OfCalibrations()  # of a recording from which none was made
+
+
 def judgement(calibration: Calibration, refutations: Sequence[Refutation] = ()) -> Verdict:
     """The Verdict on a calibration. refutations : of its file, by later recordings"""
     return judge(evidence(calibration, refutations))
@@ -40,6 +52,9 @@ def evidence(calibration: Calibration, refutations: Sequence[Refutation] = (), s
         elif claim.ratio[1] <= 1:
             missing.append(Missing("it is not shown to be better than the owner's own model", MORE))
     unexplained = () if claim is None else claim.unexplained
+    if calibration.physics is not None:
+        nameless = [u.place for u in calibration.physics.unknown if not u.corrected]
+        unexplained = (*unexplained, *(f"nothing in the catalogue explains what is at {place}" for place in nameless))
     doubted = tuple(one.line for one in refutations if one.state != State.BAD)
     return Evidence(said if statement is None else statement, tuple(steps), of_claim(calibration.held_out, claim), (*unexplained, *doubted),
                     separable(calibration.confounds),
@@ -69,6 +84,16 @@ def of_samples(calibration: Calibration, samples: Samples, rng: np.random.Genera
         return None
     label = labels(samples.commanded, ranges(calibration.correction.nominal))
     return verification(calibration.correction.predict(samples.effective), samples, label, calibration.claim, rng)
+
+
+def with_design(known: Evidence, calibration: Calibration, confounds: Sequence[Confounds | None], which: str) -> Evidence:
+    """Evidence for a calibration with what the designs of held-out recordings confound, where its own recording's is not known.
+
+    Only what that does not separate can have gone into the correction. which : the recordings, in words
+    """
+    if calibration.confounds is not None:
+        return known
+    return replace(known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"{which}: {said}" for one in confounds for said in separable(one))])))
 
 
 def of_claim(held: HeldOut | None, claim: Claim | None) -> float | None:

@@ -44,7 +44,15 @@ def verified(held: HeldOut, claim: Claim | None, found: Verification | None) -> 
         return f"{here}; no factor was claimed" + (f": {claim.reason}" if claim else "")
     if not found.parts:
         return f"{here}; nothing that was measured is claimed"
-    return f"{here}; the claim is {'kept' if found.kept else 'NOT kept'} ({against(found)})" + elsewhere(found)
+    return f"{here}; the claim is {stands(found)} ({against(found)})" + elsewhere(found)
+
+
+def stands(found: Verification) -> str:
+    """Whether a claim is kept, in words."""
+    if found.kept:
+        return "kept"
+    within = found.unexplained and not found.refutes and (found.offset is None or not found.offset.kept)
+    return "exceeded by no more than what it names as unexplained may" if within else "NOT kept"
 
 
 def against(found: Verification) -> str:

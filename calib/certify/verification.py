@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.claim import Claim
 from calib.certify.held_out import error_of
 from calib.samples import Samples
+from rig.judgement import REFUTES
 from rig.pose import adjoint, exp
 
 LEVEL = 0.995  # of each part's quantile: one claim in a hundred that is kept is taken for one that is not
@@ -58,12 +59,14 @@ class Offset:
 @dataclass(frozen=True, slots=True)
 class Verification:
     """A claim held against n poses. position, rotation : Part, None where it was not measured or nothing is claimed of it
-    offset : Offset that explains why the claim is not kept, None where it is kept or no such motion explains it"""
+    offset : Offset that explains why the claim is not kept, None where it is kept or no such motion explains it
+    unexplained : whether the claim names something that it leaves so"""
 
     n: int
     position: Part | None
     rotation: Part | None
     offset: Offset | None = None
+    unexplained: bool = False
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -77,8 +80,13 @@ class Verification:
 
     @property
     def refutes(self) -> bool:
-        """Whether the claim is not kept, and no rigid motion of all poses explains it."""
-        return bool(self.parts) and not self.kept and (self.offset is None or not self.offset.kept)
+        """Whether the claim is not kept, and no rigid motion of all poses explains it.
+
+        What a claim names as unexplained differs with the day and the plan: it is refuted by more than REFUTES times what it and noise allow.
+        """
+        if self.kept or not self.parts or (self.offset is not None and self.offset.kept):
+            return False
+        return not self.unexplained or max(part.of_allowed for part in self.parts.values()) > REFUTES
 
     @property
     def of_limit(self) -> float:
@@ -94,7 +102,7 @@ def verification(predicted: RigidTransform, samples: Samples, label: np.ndarray,
     """
     if claim.after is None:
         raise ValueError("no factor is claimed, so there is nothing to verify")
-    found = _verified(error_of(predicted, samples), samples, label, claim, rng)
+    found = replace(_verified(error_of(predicted, samples), samples, label, claim, rng), unexplained=bool(claim.unexplained))
     return found if found.kept or not found.parts else replace(found, offset=_offset(predicted, samples, label, claim, found.of_limit, rng))
 
 

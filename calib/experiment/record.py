@@ -10,6 +10,7 @@ from pathlib import Path
 from calib.diagnose.report.schema import SCHEMA, UNKNOWN
 from rig import json_file, table
 from rig.entries import Entries
+from rig.judgement import State
 
 SETTING_UP = 1.0  # min that a recording takes besides its plan
 
@@ -39,7 +40,7 @@ class Look:
     """What all recordings up to number `number` (from 1) say. recording : the last one's name; minutes : that it took
     findings : names with their places; alone : those of them that nothing else explains as well; unknown : what has no name, in words
     questions : of each finding that is not alone its hypotheses, the likeliest first; unasked : what cannot be foretold, in words
-    proposed : experiments, the best first
+    proposed : experiments, the best first; doubts : what its diagnosis' verdict rests on, where that is not good, a sentence each
     """
 
     number: int
@@ -51,6 +52,7 @@ class Look:
     questions: tuple[tuple[Hypothesis, ...], ...]
     unasked: tuple[str, ...]
     proposed: tuple[Proposed, ...]
+    doubts: tuple[str, ...] = ()
 
     @property
     def odds(self) -> dict[str, float]:
@@ -101,9 +103,11 @@ def _look(folder: Path, number: int) -> Look:
     proposed = tuple(Proposed(e.text("plan"), e.whole("exposures", 1), e.number("minutes"), e.number("bits"), e.number("settles"), e.texts("asks"))
                      for e in after.tables("experiments"))
     unasked = tuple(text for q in after.tables("questions") for text in q.texts("unasked"))
+    verdict = found.table("verdict")
+    doubts = () if verdict.text("state") == State.GOOD else verdict.texts("rests_on")
     return Look(number, recording_of(folder, number).name, minutes_of(plan_of(folder, number)), tuple(map(_title, findings)),
                 tuple(title for title in map(_title, findings) if title not in doubtful),
-                tuple(f"something at {f.text('place')}" + _of(f) for f in unknown), questions, unasked, proposed)
+                tuple(f"something at {f.text('place')}" + _of(f) for f in unknown), questions, unasked, proposed, doubts)
 
 
 def _title(finding: Entries) -> str:

@@ -30,8 +30,8 @@ def judged(looks: Sequence[Look], ended: str) -> Verdict:
     """The verdict: good where nothing is left out, to be looked at where something is, has no name or cannot be told from something else."""
     last = looks[-1]
     named = ", ".join(last.findings) or "; ".join(last.unknown) or "nothing is left out"
-    left = [f"the geometry alone leaves out {name}" for name in last.findings]
-    left += [f"nothing in the catalogue explains {text}" for text in last.unknown]
+    left = list(last.doubts) or [*(f"the geometry alone leaves out {name}" for name in last.findings),
+                                 *(f"nothing in the catalogue explains {text}" for text in last.unknown)]
     missing = [*([] if ended else [Missing("it goes on")]), *([Missing("several explanations are alike")] if last.questions else [])]
     steps = to_do(looks, ended)
     return judge(Evidence(f"{named}: {ended or 'it goes on'}", tuple(steps), unexplained=tuple(left), missing=tuple(missing),

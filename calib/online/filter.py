@@ -90,6 +90,7 @@ class Online:
         """One pose. x : (6,) m commanded; T_base_platform : RigidTransform measured; covariance : (6, 6) tangent on the right
         common : (6, shared) factor of the shared errors, needed where there are any. Returns Update.
 
+        A pose whose command closes nowhere by the estimate, but does by the start, is dropped.
         Raises ValueError for wrong shapes, RigError for a command that closes on no pose or a covariance that is none; then nothing changed
         """
         matrix, shared = T_base_platform.as_matrix(), len(self.state.estimate.s)
@@ -98,7 +99,10 @@ class Online:
         if pose.command.shape != (6,) or pose.covariance.shape != (6, 6) or common.shape != (6, shared) or not np.isfinite(pose.command).all():
             raise ValueError(f"expected a command (6,), a covariance (6, 6) and common (6, {shared}), got {pose.command.shape}, "
                              f"{pose.covariance.shape} and {common.shape}")
-        taken = _taken(self.state, self.held, pose, self.start)
+        try:
+            taken = _taken(self.state, self.held, pose, self.start)
+        except RigError:
+            taken = _unexpected(self.state, self.held, pose, self.start)
         self.state, self.held = taken.state, taken.held
         self.number += 1
         return Update(pose.number, taken.innovation, taken.changes, bool(taken.held), taken.dropped)
@@ -157,6 +161,15 @@ def _taken(before: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -
         state = linearised_again(state, start)
         innovation = state.innovation
     return _Taken(state, (), innovation, told, dropped)
+
+
+def _unexpected(state: State, waiting: tuple[Pose, ...], pose: Pose, start: Start) -> _Taken:
+    """What is made of a pose whose command the geometry as estimated reaches nowhere: it is left out, as one that agrees with no other.
+
+    Raises RigError where the geometry that the filter started from reaches it nowhere either, or its covariance is none
+    """
+    alone = learnt(fresh(start, len(state.estimate.s)), pose, start)
+    return _Taken(state, waiting, alone.innovation, (), (pose.number,))
 
 
 def _examined(state: State, start: Start) -> tuple[State, tuple[Change, ...]]:

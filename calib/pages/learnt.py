@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.certify.evidence import ALONE, OfCalibrations, separable
+from calib.confounds import Confounds
 from rig.judgement import AGREES, Evidence, Missing, Verdict, judge
 from rig.page.document import Link, Page, write
 from rig.page.figure import Series, panel
@@ -19,7 +21,8 @@ ASK = "Determine what acts on the struts or the measurement: `rig diagnose REC -
 class Learnt:
     """What poses taught. frames : (n,) their numbers; innovations : (n, 6) whitened, N(0, I) where nothing is wrong; source : of the poses
     said : a line for each change; dropped : numbers of frames left out; known : m RMS of joints and zeros, or None; moved : m RMS from rig.toml
-    returning : struts that go back and forth, a sentence each"""
+    returning : struts that go back and forth, a sentence each; confounds : of the recording, or None
+    calibrations : OfCalibrations made from it: what they leave out, these poses teach no better"""
 
     frames: np.ndarray
     innovations: np.ndarray
@@ -29,6 +32,8 @@ class Learnt:
     known: float | None
     moved: float
     returning: Sequence[str] = ()
+    confounds: Confounds | None = None
+    calibrations: OfCalibrations = ALONE
 
 
 def learnt_page(path: Path | str, name: str, learnt: Learnt, links: Sequence[Link] = ()) -> None:
@@ -54,14 +59,15 @@ def judged(learnt: Learnt) -> Verdict:
     known = "" if learnt.known is None else f"; joints and zeros are known to {learnt.known * 1e3:.4f} mm RMS"
     changes = f"{len(learnt.said)} change{'s' * (len(learnt.said) != 1)}" if learnt.said else "nothing jumped"
     why = f"{changes}, the last poses off what was expected by {off:.2f} standard deviations{known}"
-    unexplained = list(learnt.returning)
+    unexplained = [*learnt.returning, *learnt.calibrations.unexplained]
     if len(learnt.said) > MANY:
         unexplained.append("these are no few steps, something acts that the geometry lacks")
     if off > AGREES:
         unexplained.append(f"the last poses are {off:.3g} times as far off as expected")
     missing = [Missing("something jumped", to_do(learnt)[0])] if learnt.said else []
     missing += [Missing("poses were left out")] if learnt.dropped else []
-    return judge(Evidence(why, tuple(to_do(learnt)), unexplained=tuple(unexplained), missing=tuple(missing), look=ASK))
+    return judge(Evidence(why, tuple(to_do(learnt)), unexplained=tuple(unexplained), confounds=separable(learnt.confounds), missing=tuple(missing),
+                          refuted=learnt.calibrations.refuted, look=ASK))
 
 
 def to_do(learnt: Learnt) -> list[str]:

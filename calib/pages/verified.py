@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.evidence import evidence, held_against, separable
+from calib.certify.evidence import evidence, held_against, with_design
 from calib.certify.held_out import Figures, HeldOut
 from calib.certify.verdict import verified
 from calib.certify.verification import Verification
@@ -76,7 +76,7 @@ def judged(v: Verified) -> Verdict:
     if v.same:
         return judge(Evidence("no verdict", missing=(Missing(f"the calibration was made from {len(v.same)} of these frames", ANOTHER),)))
     known = evidence(v.calibration, v.refutations, verified(v.held, v.calibration.claim, v.found), (CERTIFY,))
-    known = replace(known, confounds=tuple(dict.fromkeys([*known.confounds, *(f"this recording: {said}" for said in separable(v.confounds))])))
+    known = with_design(known, v.calibration, (v.confounds,), "this recording")
     return judge(held_against(known, v.found, look=CHANGED))
 
 

@@ -23,7 +23,7 @@ def judged(c: Certificate) -> Verdict:
     missing = [*known.missing, *([SCALE] if c.asked.scale is None else [])]
     if verdicts - {CONFORMS, FAILS}:
         missing.append(Missing("whether all tolerances are kept cannot be said from these poses"))
-    confounds = dict.fromkeys([*known.confounds, *(f"these recordings: {text}" for text in separable(c.confounds))])
+    confounds = [f"these recordings: {text}" for text in separable(c.confounds)] if c.known is None else known.confounds
     steps = (*([TWICE] if c.repeatability.position is None else []), AGAIN)
     return judge(replace(known, statement="; ".join(line.removesuffix(".") for line in said), steps=steps, confounds=tuple(confounds),
                          missing=tuple(missing), refuted=(*failed, *known.refuted)))

@@ -5,7 +5,7 @@ from calib.certify.budget import Contribution, Expanded
 from calib.certify.conformity import CONFORMS, FAILS
 from calib.certify.iso9283 import POSES, VISITS
 from calib.certify.reversal import AxisTest
-from calib.certify.verdict import elsewhere
+from calib.certify.verdict import elsewhere, stands
 from calib.statement.contents import Contents
 
 
@@ -88,7 +88,7 @@ def claim_line(one: AgainstClaim) -> str:
     for name, (_, beyond, (middle, low, high)) in one.parts.items():
         size = um if name == "position" else urad
         said.append(f"{name} error {size(beyond)} RMS beyond measuring noise, claimed {size(middle)} ({size(low)} to {size(high)})")
-    return f"The calibration's claim is {'kept' if one.found.kept else 'NOT kept'} by {one.recording}: {'; '.join(said)}{elsewhere(one.found)}."
+    return f"The calibration's claim is {stands(one.found)} by {one.recording}: {'; '.join(said)}{elsewhere(one.found)}."
 
 
 def _sentence(line: str) -> str:

@@ -72,7 +72,7 @@ def judged(figures: list[Figure]) -> Verdict:
     if not asked:
         return judge(Evidence("no figure is judged", missing=(Missing("no case shows a figure that is to be reached", MORE),)))
     surely = [f for f in missed if f.high < (f.goal or 0)]
-    few = [f for f in asked if f not in missed and f.low < (f.goal or 0)]
+    few = [f for f in asked if f not in missed and f.low < (f.goal or 0) < 1]  # of no number of cases is all surely reached
     missing = [Missing(f"{_said(f)} falls short") for f in missed if f not in surely]
     missing += [Missing(f"too few cases to be sure: {'; '.join(map(_said, few))}", MORE)] if few else []
     reached = f"{len(asked) - len(missed)} of {len(asked)} figures reach what they are to reach"

@@ -46,6 +46,8 @@ def arguments(parser: ArgumentParser) -> None:
                       "geometry; rig correct undoes it")
     kind.add_argument("--find", action="store_true", help="diagnose this recording first and take in what is found")
     own_effects.argument(parser)
+    parser.add_argument("--quick", action="store_true", help="do not look for what the geometry leaves out, as `rig diagnose` does: the verdict is "
+                        "then check at the best")
     parser.add_argument("--joint", action="store_true", help="solve cameras, lenses and geometry once more from all corners together")
     extending.arguments(parser)
     parser.add_argument("--promise", type=length, metavar="20um", help="say whether so much is kept, position error RMS over the workspace")
@@ -83,13 +85,13 @@ def run(arguments: Namespace) -> None:
     elif arguments.joint and nominal.kind in ("arm", "chain"):
         raise RigError(f"--joint solves a hexapod's cameras and struts together; a mechanism of kind {nominal.kind!r} takes none of it")
     elif nominal.kind == "chain":
-        calibration = _chain(recording, sampled, (out, page, links), arguments.argv, rng, progress)
+        calibration = _chain(recording, sampled, (out, page, links), arguments, rng, progress)
     elif nominal.kind == "arm":
         known = _taken_arm(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
-        calibration = _arm(recording, sampled, (out, page, links), arguments.argv, rng, progress, known)
+        calibration = _arm(recording, sampled, (out, page, links), arguments, rng, progress, known)
     else:
         taken = _taken(recording, sampled, findings, own, progress) if arguments.find or findings is not None else None
-        calibration = _struts(recording, sampled, (out, page, links), arguments.argv, rng, progress, arguments.joint, taken)
+        calibration = _struts(recording, sampled, (out, page, links), arguments, rng, progress, taken)
     if values is not None:
         _write_summands(values, sampled.samples, calibration)
     tell(arguments, calibration, len(sampled.samples))
@@ -164,17 +166,17 @@ def _values_name(out: Path) -> str:
     return "ksf.csv" if out.stem == "calibration" else f"{out.stem}.ksf.csv"
 
 
-def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator, progress: Progress,
-             joint: bool, taken: Taken | None) -> Calibration:
+def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
+             taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised, refitted
     from calib.report import calibration_page
     from rig.kinds import hexapod_of, struts_of
 
-    if joint:
+    if arguments.joint:
         hexapod_of(recording.design.mechanism)
     samples = sampled.samples if taken is None else taken.samples
     done = certify(samples, struts_of(recording.design.mechanism), rng, progress)
-    if joint:
+    if arguments.joint:
         from calib.correct.refined import refine
 
         progress("solving cameras and geometry together", 0, 1)
@@ -183,7 +185,8 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, argv: list[str]
     if taken is not None:
         done = taken.drawn(done, rng)
     claim = promised(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
+    look = progress if taken is None else None
+    calibration = _stored(out[0], recording, sampled, arguments, done, claim, None if taken is None else taken.with_geometry(done), look=look)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
@@ -201,7 +204,7 @@ def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Na
     before = _before(arguments.onto, mechanism) if arguments.onto else None
     found = extending.certified(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
-    calibration = _stored(out[0], recording, sampled, arguments.argv, done, found.claim, before=None if before is None else (before, found.kept))
+    calibration = _stored(out[0], recording, sampled, arguments, done, found.claim, before=None if before is None else (before, found.kept))
     _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
@@ -223,7 +226,7 @@ def _before(path: Path, nominal: Any) -> Calibration:
     return before
 
 
-def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator,
+def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
          progress: Progress, taken: TakenArm | None) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
@@ -233,7 +236,8 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], r
     samples = sampled.samples if together is None else together.samples
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
     claim = promised(samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done, claim, None if taken is None else taken.with_geometry(done))
+    look = progress if taken is None else None
+    calibration = _stored(out[0], recording, sampled, arguments, done, claim, None if taken is None else taken.with_geometry(done), look=look)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
@@ -243,7 +247,7 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, argv: list[str], r
     return calibration
 
 
-def _chain(recording: Recording, sampled: Sampled, out: Places, argv: list[str], rng: np.random.Generator,
+def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
            progress: Progress) -> Calibration:
     from calib.chains.certify import certify, promised
     from calib.chains.report import calibration_page
@@ -251,7 +255,7 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, argv: list[str],
 
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
     claim = promised(sampled.samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, argv, done, claim)
+    calibration = _stored(out[0], recording, sampled, arguments, done, claim, look=progress)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
@@ -280,11 +284,16 @@ def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertifi
           f"them agree with one geometry{named}")
 
 
-def _stored(out: Any, recording: Recording, sampled: Sampled, argv: list[str], done: Certified | ArmCertified | ChainCertified, claim: Claim,
-            known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None) -> Calibration:
+def _stored(out: Any, recording: Recording, sampled: Sampled, arguments: Namespace, done: Certified | ArmCertified | ChainCertified, claim: Claim,
+            known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None,
+            look: Progress | None = None) -> Calibration:
+    """The Calibration, written. look : called as what it leaves out is looked for, None where what is left out is known or corrected by no model"""
     from calib import store
     from calib.kept import kept
+    from calib.left_out import not_searched, searched
 
-    calibration = kept(recording, sampled, done, claim, argv, known, before)
+    calibration = kept(recording, sampled, done, claim, arguments.argv, known, before)
+    if look is not None and arguments.limbs is None:
+        calibration = not_searched(calibration) if arguments.quick else searched(calibration, recording, sampled, look)
     store.save(out, calibration)
     return calibration

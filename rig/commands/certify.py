@@ -148,9 +148,11 @@ def _against_claim(calibration: Calibration, held: list[tuple[Recording, Sampled
 
     from calib.certify import verdict as words
     from calib.certify.against_claim import against_claim
-    from calib.certify.evidence import evidence, held_against
+    from calib.certify.evidence import evidence, held_against, with_design
+    from calib.confounds import of_recordings
 
     known, claims = evidence(calibration, refuting.known(arguments.calibration)), []
+    known = with_design(known, calibration, [of_recordings([recording for recording, _ in held])], "these recordings")
     for recording, sampled in held:
         one = against_claim(calibration, recording.name, calibration.told(recording, sampled.samples), np.random.default_rng(SEED))
         if one is None:

@@ -16,7 +16,9 @@ from rig.judgement import State
 
 if TYPE_CHECKING:
     from calib.diagnose.engine.given import Given
+    from calib.certify.evidence import OfCalibrations
     from calib.diagnose.report.report import Report
+    from calib.pipeline import Sampled
     from calib.store import Calibration
     from rig.recording import Recording
 
@@ -115,15 +117,17 @@ def _arm(recording: Recording, arguments: Namespace, known: Beforehand, out: Pat
     """Report of an arm's or a chain's recording, written to a folder with its page."""
     from calib.diagnose.problems.arm.diagnose import diagnose
     from calib.diagnose.report import arm
+    from calib.pipeline import sample_recording
     from calib.diagnose.report.arm_view import ArmView
     from calib.diagnose.report.page import diagnosis_page
 
     if known.calibration is not None:
         raise RigError("--calibration is for hexapods; the geometry of an arm or a chain is always fitted to the recording")
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds), said=_said(arguments),
-                    own=known.own)
+    sampled = sample_recording(recording, progress=progress)
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.given, known.kinds, sampled),
+                    said=_said(arguments), own=known.own)
     report = arm.report(found)
-    report = replace(report, refuted=_against(report, recording, arguments))
+    report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
     arm.save(out, found, recording, report)
     diagnosis_page(out / "diagnosis.html", report, ArmView(found, report.named), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
@@ -137,13 +141,15 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     """Report of a platform's or a hand-moved body's recording, written to a folder with its page."""
     from calib.diagnose.problems.platform.diagnose import diagnose
     from calib.diagnose.report import platform
+    from calib.pipeline import sample_recording
     from calib.diagnose.report.page import diagnosis_page
     from calib.diagnose.report.platform_view import PlatformView
 
-    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given,
-                             kinds=known.kinds), said=_said(arguments), own=known.own)
+    sampled = None if recording.commands is None or recording.design.mechanism.kind == "free" else sample_recording(recording, progress=progress)
+    found = replace(diagnose(recording, arguments.only, tuple(arguments.without), progress, known.calibration, known.given, sampled, known.kinds),
+                    said=_said(arguments), own=known.own)
     report = platform.report(found)
-    report = replace(report, refuted=_against(report, recording, arguments))
+    report = replace(report, calibrations=_of_calibrations(report, recording, sampled, arguments))
     platform.save(out, found, recording, report)
     diagnosis_page(out / "diagnosis.html", report, PlatformView(recording, found), near(arguments, arguments.out / "diagnosis.html"))
     if arguments.next is not None:
@@ -153,20 +159,18 @@ def _platform(recording: Recording, arguments: Namespace, known: Beforehand, out
     return report
 
 
-def _against(report: Report, recording: Recording, arguments: Namespace) -> tuple[str, ...]:
-    """What a Report refutes: each calibration beside the recording or the diagnosis that was made from it is marked, of those refuted a sentence."""
-    from calib.diagnose.report.judgement import against
+def _of_calibrations(report: Report, recording: Recording, sampled: Sampled | None, arguments: Namespace) -> OfCalibrations:
+    """OfCalibrations beside the recording or the diagnosis that were made from it; each that knows nothing of a finding is marked."""
+    from calib.certify.evidence import OfCalibrations
+    from calib.left_out import against, of_calibrations
     from rig import provenance
 
-    if not report.mattering and not report.unknown:
-        return ()
-    near_by = {path.resolve() for folder in (recording.folder.resolve().parent, arguments.out.resolve().parent) if folder.is_dir()
-               for path in folder.glob("*.json")}
-    out = []
-    for path, state, finding in against(report, provenance.marks(recording), sorted(near_by)):
+    of, paths = provenance.marks(recording), refuting.near_by(recording.folder, arguments.out)
+    refuted = []
+    for path, state, finding in against(report, of, paths, None if sampled is None else sampled.samples):
         refuting.mark(arguments, path, recording.name, finding, state)
-        out += [f"{path.name} is refuted: {finding}"] if state == State.BAD else []
-    return tuple(out)
+        refuted += [f"{path.name} is refuted: {finding}"] if state == State.BAD else []
+    return OfCalibrations(tuple(refuted), of_calibrations(of, paths, False).unexplained)
 
 
 def _print(report: Report) -> None:

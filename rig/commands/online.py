@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.commands import following, from_limbs
-from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved, read_recording
+from rig.commands import checking, following, from_limbs, refuting
+from rig.commands.output import Progress, add_page, add_recording, add_result, near, place_of_page, print_unsolved
 from rig.commands.unlearnt import fresh_of, not_learnt
 from rig.errors import RigError
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from calib.certify.evidence import OfCalibrations
     from calib.online.change_detection import Change
     from calib.online.filter import Online, Update
     from calib.pages.learnt import Learnt
@@ -34,6 +36,7 @@ def arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--state", metavar="FILE", type=Path, help="go on from this state where it is there, and save it after the last pose")
     parser.add_argument("--calibration", metavar="FILE", type=Path, help="start from this calibration, not from rig.toml")
     add_page(parser)
+    checking.argument(parser)
     following.arguments(parser)
     from_limbs.arguments(parser)
     add_result(parser)
@@ -43,45 +46,57 @@ def run(arguments: Namespace) -> None:
     """Learn the parameters from a recording's poses, one at a time, and say what jumped."""
     progress = Progress()
     progress("reading the recording", 0, 1)
-    recording = read_recording(arguments)
+    recording = checking.loaded(arguments)
+    look = checking.checked(recording, arguments.anyway)
     mechanism = recording.design.mechanism
     if mechanism.kind != "hexapod":
         raise RigError(f"on-line learning is for hexapods, not for a mechanism of kind {mechanism.kind!r}")
     state = arguments.outputs.file(arguments.state, own=True) if arguments.state else None
     page = place_of_page(arguments)
 
+    from calib.confounds import of_recordings
     from calib.online.filter import Online
 
     calibration = _calibration(arguments.calibration, mechanism) if arguments.calibration else None
-    sampled = partial(from_limbs.sampled, arguments, recording, progress)
+    sampled = partial(from_limbs.sampled, arguments, recording, progress, look)
+    recording.commanded()  # a recording that nobody commanded is refused
+    confounds = of_recordings([recording])
+    assert confounds is not None
+    known_of = _of_calibrations(arguments, recording, calibration)
     if arguments.learner != following.WATCHING:
         followed, arguments.result = following.follow(arguments, recording, sampled, calibration, state, progress)
+        followed = replace(followed, confounds=confounds, calibrations=known_of)
         from calib.pages.learnt import judged
 
         verdict = judged(followed)
-        arguments.result |= {"verdict": verdict.tree()}
         print(verdict.line)
-        _state_confounds(arguments, recording)
+        arguments.result |= {"verdict": verdict.tree(), "confounds": confounds.tree()}
+        print(confounds.line())
         _show(page, arguments, recording, followed)
         return
     following.refuse_settings(arguments)
     known = Online.load(arguments.state) if arguments.state is not None and arguments.state.exists() else None
-    learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress)
-    _state_confounds(arguments, recording)
+    learner, learnt, arguments.result = learn(recording, sampled, known, calibration, progress, known_of)
+    assert learnt.confounds is not None
+    arguments.result["confounds"] = learnt.confounds.tree()
+    print(learnt.confounds.line())
     if state is not None:
         learner.save(state)
         print(f"written: {arguments.state}")
     _show(page, arguments, recording, learnt)
 
 
-def _state_confounds(arguments: Namespace, recording: Recording) -> None:
-    """Print the confounds of a recording in a line, and add them to what --json prints."""
-    from calib.confounds import of_recordings
+def _of_calibrations(arguments: Namespace, recording: Recording, calibration: Calibration | None) -> OfCalibrations:
+    """OfCalibrations made from a recording that are beside it; and what the one that learning starts from leaves unexplained."""
+    from calib.certify.evidence import evidence
+    from calib.left_out import of_calibrations
+    from rig.provenance import marks
 
-    confounds = of_recordings([recording])
-    assert confounds is not None  # what is learnt was commanded
-    print(confounds.line())
-    arguments.result["confounds"] = confounds.tree()
+    beside = of_calibrations(marks(recording), refuting.near_by(recording.folder), True)
+    if calibration is None:
+        return beside
+    start = evidence(calibration, refuting.known(arguments.calibration)).unexplained
+    return beside._replace(unexplained=tuple(dict.fromkeys([*beside.unexplained, *start])))
 
 
 def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt: Learnt) -> None:
@@ -95,15 +110,18 @@ def _show(page: Path | None, arguments: Namespace, recording: Recording, learnt:
 
 
 def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | None, calibration: Calibration | None,
-          progress: Progress) -> tuple[Online, Learnt, dict[str, Any]]:
+          progress: Progress, of_calibrations: OfCalibrations | None = None) -> tuple[Online, Learnt, dict[str, Any]]:
     """The filter after a recording's poses that it has not learnt, and what they taught, which is said, and what --json prints of it.
 
     sampled : makes the Sampled of it; known : the filter to go on with, or None; calibration : where a new one starts from, or None
+    of_calibrations : OfCalibrations made from the recording, None where nobody looked for any
 
     Raises RigError where no pose is left to learn
     """
     import numpy as np
 
+    from calib.certify.evidence import ALONE
+    from calib.confounds import of_recordings
     from calib.identify.geometry import parameters
     from calib.online.filter import Online
     from calib.pages.learnt import judged
@@ -128,7 +146,8 @@ def learn(recording: Recording, sampled: Callable[[], Sampled], known: Online | 
         updates.append(learner.update(x, T, C, B))
         progress("learning", len(updates), len(samples))
     moved = float(np.sqrt(np.mean((learner.p - parameters(mechanism)) ** 2)))
-    taught = _learnt(learner, updates, samples.frame, found.source, moved)
+    taught = replace(_learnt(learner, updates, samples.frame, found.source, moved), confounds=of_recordings([recording]),
+                     calibrations=of_calibrations or ALONE)
     print(judged(taught).line)
     _tell(learner, updates, samples.frame, f"{len(samples)} poses from {found.source}, learnt one at a time"
           + (f" after {before} before" if before else ""))

@@ -40,3 +40,9 @@ def mark(arguments: Namespace, path: Path, recording: str, finding: str, state: 
         print(f"warning: {path} was {new.line}; that could not be written beside it: {error}", file=sys.stderr)
         return
     print(f"{path} is marked as {'refuted' if state == State.BAD else 'doubted'} in {path.parent / NAME}", file=sys.stderr)
+
+
+def near_by(*places: Path) -> list[Path]:
+    """The JSON files beside places, each once."""
+    folders = {place.resolve().parent for place in places}
+    return sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.json"))

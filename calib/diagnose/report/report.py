@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from calib.certify.evidence import ALONE, OfCalibrations
 from calib.confounds import Confounds
 from calib.diagnose.engine.wild import Crowd, LeftOut
 from calib.diagnose.report.schema import (
@@ -38,7 +39,7 @@ class Report:
     left_out : rows that agree with no others, left out before anything was searched; crowd : what is far off in too many to be left out, or None
     noise_from : "stated"; "residuals" where nobody states a corner's noise and the residuals determine it; "assumed" where nobody states the
     poses' noise
-    refuted : calibrations made from the recording that the findings refute, a sentence each"""
+    calibrations : OfCalibrations, of those made from the recording that are beside it"""
 
     recording: str
     start_s: float
@@ -59,7 +60,7 @@ class Report:
     noise_from: str = STATED
     left_out: tuple[LeftOut, ...] = ()
     crowd: Crowd | None = None
-    refuted: tuple[str, ...] = ()
+    calibrations: OfCalibrations = ALONE
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""
@@ -83,7 +84,7 @@ class Report:
 
     def tree(self) -> dict[str, Any]:
         """The tree of diagnosis.json, without the verdict."""
-        apart = ("more", "confounds", "refuted", *(() if self.recordings else ("recordings",)))
+        apart = ("more", "confounds", "calibrations", *(() if self.recordings else ("recordings",)))
         own = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in apart}
         return {"schema": SCHEMA, **own, "unexplained": plain(self.unexplained), **self.more,
                 "crowd": plain(self.crowd), "confounds": self.confounds and self.confounds.tree()}

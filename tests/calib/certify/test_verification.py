@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.certify.claim import Claim
-from calib.certify.verification import verification
+from calib.certify.verdict import stands
+from calib.certify.verification import Part, Verification, verification
 from calib.samples import Samples
 from rig import plan
 from rig.mechanisms import hexapod
@@ -101,3 +102,15 @@ def test_an_error_that_would_have_been_noticed_is_stated(design):
 def test_the_adjoint_takes_a_tangent_to_the_other_side():
     T, xi = exp(np.array([0.3, -0.2, 0.5, 0.4, -1.0, 0.2])), 1e-3 * np.arange(6.0)
     np.testing.assert_allclose((T * exp(xi)).as_matrix(), (exp(adjoint(T) @ xi) * T).as_matrix(), atol=1e-12)
+
+
+def test_a_claim_that_names_something_unexplained_is_refuted_by_half_as_much_again():
+    """What is unexplained differs from one recording to another: an error beyond chance that is within REFUTES refutes no such claim."""
+    part = Part(47e-6, 24e-6, 1.3, 1.13, 40e-6)
+    strict = Verification(60, None, part)
+    assert strict.refutes and stands(strict) == "NOT kept"
+    named = replace(strict, unexplained=True)
+    assert not named.refutes and not named.kept and "unexplained" in stands(named)
+    assert replace(named, rotation=replace(part, of_allowed=1.6)).refutes
+    held = replace(named, rotation=replace(part, of_allowed=1.1))
+    assert not held.refutes and stands(held) == "kept"

@@ -30,7 +30,7 @@ from calib.diagnose.problems.arm.wild import GATE, GROSS, WildPoses, wild_poses
 from calib.diagnose.problems.asked import Asked, answerable
 from calib.diagnose.problems.suggestion import Suggestion
 from calib.diagnose.problems.temperature_smoothing import smoothed
-from calib.pipeline import sample_recording
+from calib.pipeline import Sampled, sample_recording
 from rig.design import Arm, Chain
 from rig.effects import ALL
 from rig.effects.base import Effect
@@ -105,13 +105,14 @@ class ArmDiagnosis:
 
 @threadpool_limits.wrap(limits=1)
 def diagnose(recording: Recording, only: list[str] | None = None, without: tuple[str, ...] = (), progress: Progress | None = None,
-             given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL) -> ArmDiagnosis:
+             given: Given = UNSAID, kinds: tuple[type[Effect], ...] = ALL, sampled: Sampled | None = None) -> ArmDiagnosis:
     """ArmDiagnosis of a Recording of an arm or a chain. only, without : effects, or "effect joint 3"; progress : called with (label, done, of)
-    given : what is in from the start; kinds : the catalogue, with what a user adds to it
+    given : what is in from the start; kinds : the catalogue, with what a user adds to it; sampled : Sampled of the recording where it was measured
+    before, or None
 
     Raises NotEnoughData where too little was measured, and what calibrating raises
     """
-    sampled = sample_recording(recording, progress=progress)
+    sampled = sample_recording(recording, progress=progress) if sampled is None else sampled
     sensors, _ = smoothed(recording.sensors)
     sight = None
     if sampled.measurement is not None and isinstance(recording.design.mechanism, Arm):
