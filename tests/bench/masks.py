@@ -90,11 +90,17 @@ def tried(hidden: Hidden, folder: Path) -> dict[str, Any]:
     spoiled = recording.load(record(bad, folder / "wild"))
     for name, mask in masks(frames, np.random.default_rng([hidden.seed, 6])).items():
         found[name] = _diagnosed(masking.masked(spoiled, mask) if mask else spoiled) | {"mask": mask}
-    several = [found[name]["names"] for name in MASKS]
+    same, as_clean = counted(found)
     return {"recording": hidden.name, "kind": hidden.kind, "effect": hidden.effect, "strength": hidden.strength, "plan": hidden.plan,
             "seed": hidden.seed, "wild": dict(zip(map(str, frames), laws)), "diagnoses": found,
-            "same": max(several.count(one) for one in several), "as_clean": several.count(found["clean"]["names"]), "commit": commit(),
+            "same": same, "as_clean": as_clean, "commit": commit(),
             "seconds": round(time.process_time() - begun, 1)}
+
+
+def counted(found: dict[str, Any]) -> tuple[int, int]:
+    """(how many masks give the names that most give, how many those of the clean recording); a refusal has no names, and counts as neither."""
+    named = [found[name]["names"] for name in MASKS if "refused" not in found[name]]
+    return max(map(named.count, named), default=0), named.count(found["clean"]["names"])
 
 
 def _diagnosed(rec: recording.Recording) -> dict[str, Any]:

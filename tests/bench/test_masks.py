@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from tests.bench.masks import KINDS, MASKS, figures, main, masks, recordings
+from tests.bench.masks import KINDS, MASKS, counted, figures, main, masks, recordings
 
 
 def test_masks_take_none_halves_and_all_of_the_wild_rows():
@@ -25,6 +25,13 @@ def test_names_are_counted_over_masks_and_against_the_clean_recording():
     told = dict(zip(MASKS, (["a"], ["b"], ["b"], ["b"], ["a"])))
     line = {"kind": "arm", "same": 3, "as_clean": 2, "diagnoses": {"clean": {"names": ["a"]}, **{k: {"names": v} for k, v in told.items()}}}
     assert [reached for _, reached, _ in figures([line])] == ["3 of 5", "2 of 5"] * 2
+
+
+def test_refusals_are_no_names_that_agree():
+    refused = {"names": ["refused"], "refused": "it does not close"}
+    found = {"clean": {"names": ["a"]}, **dict.fromkeys(MASKS, refused)}
+    assert counted(found) == (0, 0)
+    assert counted(found | {"all": {"names": ["a"]}}) == (1, 1)
 
 
 def test_a_campaign_goes_on_where_it_stood(tmp_path, capsys):
