@@ -14,7 +14,7 @@ from calib.arms.rank import PLAUSIBLE
 from calib.arms.with_physics import Together
 from calib.certify.calibration import Calibration
 from calib.certify.certificate import Progress, silent
-from calib.certify.held_errors import HeldErrors, held_errors
+from calib.certify.held_errors import HeldErrors, Influence, both, held_errors, influence
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, dispersion, extension_scatter, too_few
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
@@ -93,8 +93,13 @@ def certify(samples: Samples, nominal: Arm, instrument: Instrument | None, rng: 
         correction, found = _profiled(known, correction, found)
     covariance, best = kept.total_covariance(), full if profiled else plain
     held, drawn, bare = (compare(*each, covariance, rng, of_kept) for each in (best, (before[good], after[good]), errors[_Way(False, False)]))
-    left = held_errors(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, _by_parameters(kept, correction, found, parts[good]))
-    return Certified(correction, _as_stated(_as_held_out(found, left), samples.measured), label, held, drawn, bare, left)
+    agreed, whole = samples.take(found.inliers), len(found.scatter) == 6
+    if whole and not profiled and physics is None:  # few numbers, fitted to all: what they took into themselves is known
+        left = beyond_geometry(found, correction, agreed, label[found.inliers])
+    else:
+        own = by_parameters(found, correction, agreed, parts[found.inliers]) if whole else np.zeros(2)
+        left = held_errors(best[1] - shared_errors(kept, found.shared), kept, of_kept, 0.0, own)
+    return Certified(correction, _as_stated(as_held_out(found, left, rng), samples.measured), label, held, drawn, bare, left)
 
 
 def _counted(found: Identified, samples: Samples) -> np.ndarray:
@@ -111,18 +116,27 @@ def shared_errors(samples: Samples, shared: np.ndarray) -> np.ndarray:
     return np.einsum("nik,k->ni", samples.common, shared) if len(shared) == samples.common.shape[2] else np.zeros((len(samples), 6))
 
 
-def _by_parameters(samples: Samples, correction: ArmCorrection, found: Identified, parts: np.ndarray) -> np.ndarray:
-    """(2,) m^2 and rad^2, mean square of held-out errors that comes of the parameters, which were fitted without the poses held out."""
-    J = model.parameter_jacobian(samples.commanded, correction.fitted)
-    square = np.einsum("nip,pq,niq->ni", J, found.covariance, J).mean(axis=0)
-    return square.reshape(2, 3).sum(axis=1) * len(parts) / (len(parts) - np.bincount(parts).max())
+def beyond_geometry(found: Identified, correction: ArmCorrection, agreed: Samples, label: np.ndarray) -> HeldErrors:
+    """HeldErrors of an arm's geometry at each configuration. agreed : Samples that it was fitted to; label : (m,) configuration of each"""
+    return held_errors(_influence(found, correction, agreed, label).standardised, agreed, label)
 
 
-def _as_held_out(found: Identified, left: HeldErrors) -> Identified:
+def by_parameters(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> np.ndarray:
+    """(2,) m^2 and rad^2, mean square of errors at samples held out that comes of the parameters. parts : (m,) which are held out together"""
+    return both(_influence(found, correction, agreed, parts).without)
+
+
+def _influence(found: Identified, correction: ArmCorrection, agreed: Samples, parts: np.ndarray) -> Influence:
+    J = model.parameter_jacobian(agreed.commanded, correction.fitted)
+    noise = of_samples(agreed).covariance + np.diag(found.scatter**2)
+    return influence(found.residuals[found.inliers], J, found.covariance, noise, parts)
+
+
+def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -> Identified:
     """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a fit takes into itself."""
     if len(found.scatter) != 6:
         return found
-    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.own() / 3, 3))))
+    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.own(0.0, rng) / 3, 3))))
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:
@@ -262,7 +276,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     q = low_discrepancy(seen, PLACES, FILL)
     T = correction.predict(q)
     stated = extension_scatter(correction, q, model.joint_jacobian(q, found.arm))
-    own = done.left.own_draws(DRAWS, rng) * done.left.elsewhere(float(stated[0]), DRAWS, rng) if done.left is not None else stated
+    own = done.left.own_draws(float(stated[0]), DRAWS, rng) if done.left is not None else stated
     workspace = Workspace(model.parameter_jacobian(q, correction.fitted), difference(model.predicted(q, correction.nominal), T), own, words)
     observed = of_samples(each)
     free = parameters(correction.nominal, observed.kind)  # of the figures stated: axes found a little off parallel tell no more

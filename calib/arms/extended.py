@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arms import model
-from calib.arms.certify import UNPLACED, Certified, calibrate, owners_model, start_of
+from calib.arms.certify import UNPLACED, Certified, as_held_out, beyond_geometry, by_parameters, calibrate, owners_model, start_of
 from calib.arms.correction import ArmCorrection
 from calib.arms.identify import Identified, identify, parameters
 from calib.arms.observations import of_samples
 from calib.arms.rank import PLAUSIBLE, Rank
-from calib.certify.certificate import Progress, silent
+from calib.certify.certificate import FOLDS, Progress, silent
 from calib.certify.claim import DRAWS, LEAST, Claim, Told, Workspace, claimed, extension_scatter, too_few
-from calib.certify.configurations import labels, ranges, witnesses
-from calib.certify.extended import NONE, Asked, Stand, Tried, extended_on, left_squares, none_held_out
+from calib.certify.configurations import folds, labels, ranges, witnesses
+from calib.certify.extended import NONE, Asked, Stand, Tried, extended_on, none_held_out
 from calib.certify.held_errors import shared_squares
 from calib.correct.interpolate.field import Field, Known
 from calib.correct.values import Summands
@@ -109,8 +109,16 @@ def certify_extended(samples: Samples, nominal: Arm, instrument: Instrument | No
 
     done, tried = extended_on(samples, (correction.nominal, label, found), stand, asked.kind, rng, said)
     corrected = replace(correction, extension=done.correction.extension)
-    held = next((one.held_out for one in tried if one.kind == NONE), None)
-    return Certified(corrected, _without(samples, corrected, found, asked.alone), label, done.held_out, None, held, done.left), tried
+    bare = next((one.held_out for one in tried if one.kind == NONE), None)
+    found, held = _without(samples, corrected, found, asked.alone), done.left
+    if held is not None and not asked.alone and len(found.scatter) == 6:
+        agreed, of_agreed = samples.take(found.inliers), label[found.inliers]
+        if corrected.extension is None:  # the geometry as it is, of which more is known
+            held = beyond_geometry(found, corrected, agreed, of_agreed)
+        else:
+            held = replace(held, parameters=by_parameters(found, corrected, agreed, folds(of_agreed, min(FOLDS, len(agreed)))))
+        found = as_held_out(found, held, rng)
+    return Certified(corrected, found, label, done.held_out, None, bare, held), tried
 
 
 def owners(samples: Samples, nominal: Arm, instrument: Instrument | None, start: Arm) -> tuple[ArmCorrection, Identified]:
@@ -152,8 +160,8 @@ def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) 
     T = correction.predict(q)
     if done.left is None:
         return none_held_out(told, middle)
-    stated = extension_scatter(correction, q, model.joint_jacobian(q, correction.fitted))
-    own = left_squares(done.left, stated, rng) + shared_squares(samples, DRAWS, rng)
+    stated = float(extension_scatter(correction, q, model.joint_jacobian(q, correction.fitted))[0])
+    own = done.left.own_draws(stated, DRAWS, rng) + shared_squares(samples, DRAWS, rng)
     offset = difference(model.predicted(q, correction.nominal), T)
     known = done.found.covariance
     return claimed(Workspace(model.parameter_jacobian(q, correction.fitted), offset, own, middle), np.zeros((DRAWS, len(known))), each, told, rng)

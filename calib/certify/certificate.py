@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from calib.certify.calibration import Calibration
 from calib.certify.claim import Claim, dispersed, promise, workspace_of
 from calib.certify.configurations import LEAST, folds, labels, ranges, witnesses
+from calib.certify.held_errors import HeldErrors
 from calib.certify.held_out import HeldOut, compare, errors_of, pays
 from calib.certify.machine_draws import COUNT, Sizes, drawn, sized
 from calib.certify.machines import Machines
@@ -32,7 +33,8 @@ class Certified:
     """correction : Correction of all samples; found : Identified, its geometry; label : (n,) configuration of each sample
     held_out : HeldOut, whole stretches of configurations in turn, wild poses left out, or None for fewer than configurations.LEAST of them
     machines : Machines that the samples leave possible, or None where none were drawn; covariance : (p, p) m^2 of their parameters and
-    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction"""
+    strut_covariance : (axes, axes) m^2 of what their struts do besides, both about the correction; left : HeldErrors of what an extension leaves at
+    configurations held out, None where nothing was extended"""
 
     correction: Correction[Struts, Radial]
     found: Identified
@@ -41,6 +43,7 @@ class Certified:
     machines: Machines | None = None
     covariance: np.ndarray | None = None
     strut_covariance: np.ndarray | None = None
+    left: HeldErrors | None = None
 
 
 def model_covariance(calibration: Calibration, T_base_platform: RigidTransform) -> np.ndarray:
@@ -74,12 +77,11 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
     said = progress or silent
     said("fitting the geometry", 0, 1)
     alone = geometry(samples, nominal)
-    plain: Correction[Struts, Radial] = Correction(nominal, alone.mechanism, (None,) * len(nominal.axes))
-    first = Certified(plain, alone, label, None)
+    first = of_geometry(nominal, alone, label)
     if label.max() + 1 < LEAST:  # nothing says whether a remainder pays
         said("fitting the geometry", 1, 1)
         return first
-    sizes = _sizes(samples, first, rng)
+    sizes = sizes_beyond(samples, first, rng)
     correction, found = calibrate(samples, nominal, alone=alone, only=sizes.of_place() > SURELY)
     said("fitting the geometry", 1, 1)
     like, good = correction.remainder, sizes.inliers
@@ -96,7 +98,13 @@ def certify(samples: Samples, nominal: Struts, rng: np.random.Generator,
         loss = [np.einsum("ni,nij,nj->n", e, weight, e) for e in (np.nan_to_num(after), np.nan_to_num(more[0]))]
         if pays(loss[0] - loss[1]):
             done = Certified(correction, found, label, compare(before, more[0], covariance, rng, label[good]))
-    return _with_machines(samples, done, sizes, rng)
+    return with_drawn(samples, done, sizes, rng)
+
+
+def of_geometry(nominal: Struts, found: Identified, label: np.ndarray) -> Certified:
+    """The Certified of a geometry alone, of which nothing was held out. label : (n,) configuration of each sample"""
+    plain: Correction[Struts, Radial] = Correction(nominal, found.mechanism, (None,) * len(nominal.axes))
+    return Certified(plain, found, label, None)
 
 
 def silent(label: str, done: int, of: int) -> None:
@@ -125,13 +133,13 @@ def in_turn(samples: Samples, label: np.ndarray, correct: Callable[[Samples], Se
     return out
 
 
-def _sizes(samples: Samples, first: Certified, rng: np.random.Generator) -> Sizes:
+def sizes_beyond(samples: Samples, first: Certified, rng: np.random.Generator) -> Sizes:
     """Sizes of what struts do beyond their geometry, each visit a sample of its own, by a geometry alone."""
     nominal = first.correction.nominal
     return sized(first.found, tolerance(_each_configuration(samples, first)[1], nominal), samples, first.label, nominal, rng)
 
 
-def _with_machines(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
+def with_drawn(samples: Samples, done: Certified, sizes: Sizes, rng: np.random.Generator) -> Certified:
     """The Certified with the machines that its samples leave possible."""
     correction, found = done.correction, _each_configuration(samples, done)[1]
     noise = dispersed(found, correction.nominal, COUNT, rng)
@@ -166,4 +174,4 @@ def _each_configuration(samples: Samples, done: Certified) -> tuple[Samples, Ide
 def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a certified calibration all over its workspace: each configuration counts once, however often it was visited."""
     each, found = _each_configuration(samples, done)
-    return promise(found, tolerance(found, done.correction.nominal), done.correction, each, rng, done.machines)
+    return promise(found, tolerance(found, done.correction.nominal), done.correction, each, rng, done.machines, done.left)

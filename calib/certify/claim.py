@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from calib.certify.configurations import LEAST
+from calib.certify.held_errors import HeldErrors
 from calib.certify.machines import Machines
 from calib.correct.correction import Correction, closing
 from calib.correct.interpolate.radial import Radial
@@ -144,12 +145,12 @@ def dispersion(cost: float, freedom: int, count: int, rng: np.random.Generator) 
 
 
 def promise(found: Identified, tolerance: Tolerance, correction: Correction[Struts, Radial], samples: Samples,
-            rng: np.random.Generator, machines: Machines | None = None) -> Claim:
+            rng: np.random.Generator, machines: Machines | None = None, left: HeldErrors | None = None) -> Claim:
     """Claim of a calibration of a machine on struts.
 
     found : Identified of one pose a configuration, from which the machines are drawn; tolerance : Tolerance by it; correction : Correction
     samples : Samples of one pose a configuration; rng : numpy Generator; machines : Machines drawn with all that struts may do beyond their
-    geometry, or None: parameters and scatter alone
+    geometry, or None: parameters and scatter alone; left : HeldErrors, in place of the scatter, of a correction with an extension
     """
     distinct = len(samples)
     determined, better = (int((np.linalg.svd(found.root * width, compute_uv=False) > 1).sum()) for width in (PRIOR, tolerance.prior))
@@ -165,9 +166,11 @@ def promise(found: Identified, tolerance: Tolerance, correction: Correction[Stru
         claim = concluded(*machines.squares(J, back, -offset, correction.rho(commands)), middle, samples, told, rng)
         corrected = tuple(part is not None for part in correction.remainder)
         return replace(claim, unexplained=machines.unexplained(corrected, mechanisms.of(nominal).AXIS))
-    own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T
-    if correction.extension is not None:
-        own = own + extension_scatter(correction, commands, back)
+    stated = extension_scatter(correction, commands, back)
+    if left is None:
+        own = _scatters(found, rng) @ (back**2).mean(axis=0).reshape(2, 3, -1).sum(axis=1).T + stated
+    else:
+        own = left.own_draws(float(stated[0]), DRAWS, rng)
     draws = _machines(found, tolerance, nominal, rng) - (parameters(fitted) - parameters(nominal))
     return claimed(Workspace(J, -offset, own, middle), draws, samples, told, rng)
 

@@ -1,15 +1,15 @@
 """What an extension over the configuration space promises, from configurations it was not fitted to; of several ways the best one there."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from calib.certify.certificate import FOLDS, Certified, Progress, silent
-from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, extension_scatter, too_few
+from calib.certify.certificate import FOLDS, SURELY, Certified, Progress, of_geometry, silent, sizes_beyond, with_drawn
+from calib.certify.claim import DRAWS, LEAST, PLACES, Claim, Told, Workspace, claimed, extension_scatter, too_few, workspace_of
 from calib.certify.configurations import folds, labels, ranges, witnesses
-from calib.certify.held_errors import HeldErrors, held_errors, shared_squares
+from calib.certify.held_errors import both, held_errors, influence, shared_squares
 from calib.certify.held_out import HeldOut, compare, error_of, pays
 from calib.correct.correction import Correction, closing
 from calib.correct.extend import corrected, extend, geometry_of, left
@@ -28,6 +28,7 @@ from rig.kinds import Struts
 from rig.pose import difference
 
 AUTO = "auto"
+ELSE = "direction, order, temperature or noise explain what is left as well as the place does"
 NONE = "none"  # of the ways: the geometry, or the owner's model, as it is
 
 
@@ -48,7 +49,7 @@ class Stand(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or None; chosen : whether it was taken."""
+    """A way to extend: held_out : HeldOut, or None; reason : why it could not be tried, or not be taken, or None; chosen : whether it was taken."""
 
     kind: str
     held_out: HeldOut | None
@@ -56,15 +57,8 @@ class Tried(NamedTuple):
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Extended(Certified):
-    """Certified, with left : HeldErrors of the way that was taken, or None for too few configurations."""
-
-    left: HeldErrors | None = None
-
-
 def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.random.Generator,
-                     progress: Progress | None = None) -> tuple[Extended, tuple[Tried, ...]]:
+                     progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): calibrated on all samples, and what was left at configurations held out.
 
     Of samples on a grid whole levels are held out in turn, so that what remains is a grid, and where there are LEAST configurations
@@ -75,22 +69,44 @@ def certify_extended(samples: Samples, nominal: Struts, asked: Asked, rng: np.ra
     label = labels(samples.commanded, ranges(nominal))
     said("fitting the geometry", 0, 1)
     found = geometry_of(samples, nominal, asked.alone)
+    sizes = None if asked.alone or label.max() + 1 < LEAST else sizes_beyond(samples, of_geometry(nominal, found, label), rng)
     said("fitting the geometry", 1, 1)
 
     def stand(some: Samples) -> Stand:
         geometry = found if some is samples else geometry_of(some, nominal, asked.alone, found.prior)
         return Stand(left(some, geometry), lambda field: corrected(nominal, geometry, field), lambda field, at: said_by_struts(field, at, nominal))
 
-    done, tried = extended_on(samples, (nominal, label, found), stand, asked.kind, rng, said)
+    against = None if sizes is None or (sizes.of_place() > SURELY).any() else ELSE
+    done, tried = extended_on(samples, (nominal, label, found), stand, asked.kind, rng, said, against)
     field = done.correction.extension
-    return done if field is None else replace(done, found=_without(samples, nominal, found, field, asked.alone)), tried
+    if field is not None:
+        done = replace(done, found=_without(samples, nominal, found, field, asked.alone))
+    elif sizes is not None:  # the geometry as it is, of which more is known
+        return with_drawn(samples, replace(done, left=None), sizes, rng), tried
+    return with_scatter(samples, done, rng), tried
+
+
+def with_scatter(samples: Samples, done: Certified, rng: np.random.Generator) -> Certified:
+    """The Certified of an extension, its scatter no less than what was left at configurations held out, that freed of the parameters' errors."""
+    if done.left is None:
+        return done
+    correction, found = done.correction, done.found
+    J, out = pose_jacobian(samples.T_base_platform, correction.fitted), to_pose(samples.T_base_platform, correction.fitted)
+    noise = samples.covariance + (out * found.scatter**2) @ np.swapaxes(out, 1, 2)
+    part = folds(done.label, min(FOLDS, done.label.max() + 1))
+    left = replace(done.left, parameters=both(influence(np.zeros((len(samples), 6)), J, found.covariance, noise, part).without))
+    commands, T = workspace_of(correction)
+    back = to_pose(T, correction.fitted)
+    stated = float(extension_scatter(correction, commands, back)[0])
+    own = np.sqrt(max(left.own(stated, rng)[0] - stated, 0.0) / (back[:, :3] ** 2).sum(axis=(1, 2)).mean())
+    return replace(done, left=left, found=replace(found, scatter=np.maximum(found.scatter, own)))
 
 
 def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], stand: Callable[[Samples], "Stand"], kind: str,
-                rng: np.random.Generator, said: Progress) -> tuple[Extended, tuple[Tried, ...]]:
+                rng: np.random.Generator, said: Progress, against: str | None = None) -> tuple[Certified, tuple[Tried, ...]]:
     """(Certified, what was tried): what one way, or of all ways the best, makes of what a stand leaves.
 
-    basis : nominal, label (n,) of the samples, the geometry
+    basis : nominal, label (n,) of the samples, the geometry; against : why none is to be taken of all ways, or None
     """
     nominal, label, found = basis
     known, correct, said_of = stand(samples)
@@ -106,14 +122,15 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
             refused[name] = str(error)
     splits = _splits(samples, label, nominal)
     outcome = None if not splits else _held_out(samples, stand, fields, splits, said)
-    kind = kind if kind != AUTO else NONE if outcome is None else _best(outcome)
+    auto = kind == AUTO
+    kind = kind if not auto else NONE if outcome is None or against is not None else _best(outcome)
     held = {} if outcome is None else {name: compare(outcome.before, errors, outcome.samples.total_covariance(), rng, label[outcome.rows])
                                        for name, errors in outcome.after.items()}
-    tried = [Tried(name, held.get(name), None, name == kind) for name in fields]
+    tried = [Tried(name, held.get(name), against if auto and name != NONE else None, name == kind) for name in fields]
     tried += [Tried(name, None, reason, False) for name, reason in refused.items()]
     field = fields[kind]
     if outcome is None:
-        return Extended(correct(field), found, label, None), tuple(tried)
+        return Certified(correct(field), found, label, None), tuple(tried)
     left = held_errors(outcome.after[kind], outcome.samples, label[outcome.rows], outcome.said[kind])
     if outcome.beside and left.stated:  # where noise explains all that is left, there is no error to scale
         scale = float(np.sqrt(left.beyond()[0] / left.stated))
@@ -122,7 +139,7 @@ def extended_on(samples: Samples, basis: tuple[Struts | Arm, np.ndarray, Any], s
         elif isinstance(field, RadialMap):
             field, left = replace(field, inflation=max(1.0, scale)), replace(left, scale=max(1.0, scale))
     again = held_errors(error_of(correct(field).predict(samples.effective), samples), samples, label).beyond()
-    return Extended(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
+    return Certified(correct(field), found, label, held[kind], left=replace(left, fitted=float(again[0]))), tuple(tried)
 
 
 def _without(samples: Samples, nominal: Struts, found: Identified, field: Field, alone: bool) -> Identified:
@@ -201,7 +218,7 @@ def _best(outcome: _Outcome) -> str:
     return best if pays(loss[NONE] - loss[best]) else NONE
 
 
-def promised_alone(samples: Samples, done: Extended, rng: np.random.Generator) -> Claim:
+def promised_alone(samples: Samples, done: Certified, rng: np.random.Generator) -> Claim:
     """Claim of a correction that stands on the owner's model alone: its field's error estimate all over the workspace, and the shared errors."""
     correction: Correction = done.correction
     kinematics = mechanisms.of(correction.nominal)
@@ -216,15 +233,11 @@ def promised_alone(samples: Samples, done: Extended, rng: np.random.Generator) -
         return none_held_out(told, middle)
     commands, T = closing(low_discrepancy(kinematics.travel(correction.nominal), PLACES, FILL), correction)
     offset = difference(T, kinematics.forward(commands, correction.nominal))
-    own = left_squares(done.left, extension_scatter(correction, commands, to_pose(T, correction.fitted)), rng) + shared_squares(samples, DRAWS, rng)
+    stated = float(extension_scatter(correction, commands, to_pose(T, correction.fitted))[0])
+    own = done.left.own_draws(stated, DRAWS, rng) + shared_squares(samples, DRAWS, rng)
     known = done.found.covariance  # of what an earlier pass left, where this one does not hold
     draws = rng.multivariate_normal(np.zeros(len(known)), known, DRAWS, method="eigh") if known.any() else np.zeros((DRAWS, len(known)))
     return claimed(Workspace(pose_jacobian(T, correction.nominal), -offset, own, middle), draws, each, told, rng)
-
-
-def left_squares(left: HeldErrors, stated: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(DRAWS, 2) m^2 and rad^2, draws of the mean square that a correction leaves all over the workspace. stated : (2,) what it says of itself"""
-    return left.draws(DRAWS, rng) * left.elsewhere(float(stated[0]), DRAWS, rng)
 
 
 def none_held_out(told: Told, workspace: str) -> Claim:

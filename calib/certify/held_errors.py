@@ -7,6 +7,7 @@ Source: Satterthwaite, An approximate distribution of estimates of variance comp
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from calib.samples import Samples
 INDEPENDENT = 1.5  # degrees of freedom that a configuration is worth at the most: the three of a position would be of noise alone
 TRUSTED = 20  # degrees of freedom that the stated covariance of measured poses is worth
 LEAST_FREEDOM = 3.0
-ELSEWHERE = 0.25  # share by which errors' mean square elsewhere may differ from what a correction says of itself here and there
+ALL_OWN = 0.99  # share of a combination's information in the samples held out, from which the others count as telling nearly nothing of it
+ELSEWHERE = 0.5  # by which the logarithm of errors' mean square elsewhere may differ: what a model lacks goes by the place, of which few are known
+DRAWS = 1000
 PARTS = (slice(0, 3), slice(3, 6))
 
 
@@ -43,11 +46,10 @@ class HeldErrors:
         What depends on the place grows as that does; what is left where it was fitted as well, as friction, does not.
         """
         beyond = float(self.beyond()[0])
-        if not self.stated:
-            return np.ones((count, 1))
         own = 1 - min(1.0, self.fitted / beyond) if beyond else 1.0
-        share = 1 - own + own * stated / (self.stated * self.scale**2) if self.scale else 1.0
-        return share * np.exp(ELSEWHERE * rng.normal(size=(count, 1)))
+        there = stated / (self.stated * self.scale**2) if self.stated and self.scale else 1.0
+        share = (1 - own + own * there) if self.scale else 1.0
+        return np.asarray(share * np.exp(ELSEWHERE * rng.normal(size=(count, 1))))
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """(count, 2) m^2 and rad^2, draws of the true errors' mean square; 0 for what was not measured."""
@@ -61,13 +63,18 @@ class HeldErrors:
             out[:, k] = np.maximum(seen - noise * TRUSTED / rng.chisquare(TRUSTED, count), 0.0)
         return out
 
-    def own_draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects: beyond what comes of the parameters."""
-        return np.maximum(self.draws(count, rng) - self.parameters, 0.0)
+    def own_draws(self, stated: float, count: int, rng: np.random.Generator) -> np.ndarray:
+        """(count, 2) m^2 and rad^2, draws of the mean square that no model corrects, where the correction says that positions may be off by `stated`
+        (m^2): beyond what comes of the parameters."""
+        return np.maximum(self.draws(count, rng) - self.parameters, 0.0) * self.elsewhere(stated, count, rng)
 
-    def own(self) -> np.ndarray:
-        """(2,) m^2 and rad^2, that mean square as estimated."""
-        return np.maximum(self.beyond() - self.parameters, 0.0)
+    def own(self, stated: float, rng: np.random.Generator) -> np.ndarray:
+        """(2,) m^2 and rad^2, the mean of these draws."""
+        return np.asarray(self.own_draws(stated, DRAWS, rng).mean(axis=0))
+
+    def unnoticed(self) -> float:
+        """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring them."""
+        return float(self.noise[:, 0].mean() * np.sqrt(2 / freedom_of(self.squares[:, 0])))
 
     def beyond(self) -> np.ndarray:
         """(2,) m^2 and rad^2, mean square of the true errors as estimated; 0 for what was not measured."""
@@ -88,6 +95,39 @@ def held_errors(errors: np.ndarray, samples: Samples, label: np.ndarray, stated:
     first = np.argsort(np.unique(label, return_index=True)[1])
     return HeldErrors(means(errors**2)[first], means(np.where(np.isinf(variances), np.nan, variances))[first], stated,
                       parameters=np.zeros(2) if parameters is None else parameters)
+
+
+class Influence(NamedTuple):
+    """Of samples, by a linear fit of all of them. standardised : (n, 6) m and rad, residuals freed of what the fit took into itself, as great as
+    errors there are in the mean; without : (n, 6) m^2 and rad^2, variances of the poses by parameters fitted without the samples of the same part"""
+
+    standardised: np.ndarray
+    without: np.ndarray
+
+
+def influence(residuals: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, noise: np.ndarray, part: np.ndarray) -> Influence:
+    """Influence of samples, part by part.
+
+    residuals : (n, 6); jacobian : (n, 6, p) of poses with the parameters; covariance : (p, p) of the parameters; noise : (n, 6, 6) by which the fit
+    weighed the samples; part : (n,) of each sample
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, sections 2.1 and 2.2, by blocks
+    """
+    out, without = np.empty_like(residuals), np.empty_like(residuals)
+    for each in np.unique(part):
+        own = part == each
+        L = np.linalg.cholesky(noise[own])
+        white = np.linalg.solve(L, jacobian[own]).reshape(-1, jacobian.shape[2])
+        share, U = np.linalg.eigh(white @ covariance @ white.T)  # of what is known of their own poses, that these samples tell themselves
+        share = share.clip(0, ALL_OWN)
+        left = np.linalg.solve(L, residuals[own, :, None]).ravel()
+        out[own] = (L @ (U / np.sqrt(1 - share) @ (U.T @ left)).reshape(-1, 6, 1))[..., 0]
+        without[own] = ((L @ (U * np.sqrt(share / (1 - share))).reshape(len(L), 6, -1)) ** 2).sum(axis=2)
+    return Influence(out, without)
+
+
+def both(squares: np.ndarray) -> np.ndarray:
+    """(2,) m^2 and rad^2 of squares (n, 6): their mean over the samples, of positions and of rotations."""
+    return np.asarray(squares.mean(axis=0).reshape(2, 3).sum(axis=1))
 
 
 def freedom_of(squares: np.ndarray) -> float:

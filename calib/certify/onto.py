@@ -10,17 +10,20 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import Progress, silent
+from calib.certify.certificate import Certified, Progress, model_covariance, silent
+from calib.certify.claim import DRAWS, extension_scatter, workspace_of
 from calib.certify.configurations import labels, ranges
-from calib.certify.extended import Extended, Stand, Tried, extended_on, said_by_struts
+from calib.certify.extended import Stand, Tried, extended_on, said_by_struts
 from calib.correct.correction import Correction
 from calib.correct.extend import coordinates, extend, geometry_of, home_of, left_by, left_in_poses, with_map, with_pass
 from calib.correct.interpolate.field import Field
 from calib.correct.interpolate.part import Part, Within
 from calib.correct.interpolate.passes import Passes
 from calib.correct.posed import PoseMap, places
+from calib.identify.geometry import to_pose
 from calib.samples import Samples
 from rig.errors import NotEnoughData
+from rig.pose import difference
 
 CONFIGURATION, POSE, BOTH = "configuration", "pose", "both"
 SPACES = (CONFIGURATION, POSE, BOTH)
@@ -37,7 +40,7 @@ class Pass(NamedTuple):
 
 
 def certify_onto(samples: Samples, before: Calibration, asked: Pass, rng: np.random.Generator,
-                 progress: Progress | None = None) -> tuple[Extended, tuple[Tried, ...], int]:
+                 progress: Progress | None = None) -> tuple[Certified, tuple[Tried, ...], int]:
     """(Certified, what was tried, samples that took part): a pass by samples measured anew. In both spaces the pose map is of what the other leaves.
 
     Raises NotEnoughData where a part holds no samples; the rest as `certify_extended`
@@ -58,7 +61,24 @@ def certify_onto(samples: Samples, before: Calibration, asked: Pass, rng: np.ran
         done, more = extended_on(some, basis, _posed(_again(done.correction, correction, asked), asked.poses), asked.kind, rng, said)
         tried = (*tried, *more)
     found = replace(found, mechanism=correction.fitted, residuals=left_by(samples, done.correction).values)
-    return replace(done, label=labels(samples.commanded, ranges(correction.nominal)), found=found), tried, len(some)
+    done = replace(done, label=labels(samples.commanded, ranges(correction.nominal)), found=found)
+    return _with_covariance(done, before, rng), tried, len(some)
+
+
+def _with_covariance(done: Certified, before: Calibration, rng: np.random.Generator) -> Certified:
+    """The Certified with the covariance of the calibration before it, as great as configurations held out show errors to be now: a pass takes away
+    no more than it moves, and nothing that those do not tell from noise."""
+    if done.left is None:
+        return done
+    commands, T = workspace_of(done.correction)
+    was = float(np.trace(model_covariance(before, T)[:, :3, :3], axis1=1, axis2=2).mean())
+    stated = float(extension_scatter(done.correction, commands, to_pose(T, done.correction.fitted))[0])
+    moved = difference(before.correction.predict(commands), T)[:, :3]
+    held = float(done.left.own_draws(stated, DRAWS, rng)[:, 0].mean())
+    now = max(held, was - float((moved**2).sum(axis=1).mean()), min(was, done.left.unnoticed()))
+    struts = np.diag(before.scatter**2) if before.strut_covariance is None else before.strut_covariance
+    scale = now / was if was else 0.0
+    return replace(done, covariance=scale * before.covariance, strut_covariance=scale * struts)
 
 
 def _posed(base: Callable[[Samples], Correction], part: Part | None) -> Callable[[Samples], Stand]:

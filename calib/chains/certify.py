@@ -6,11 +6,11 @@ import numpy as np
 
 from calib.arms.certify import unexplained
 from calib.certify.calibration import Calibration
-from calib.certify.certificate import FOLDS, Progress, in_turn, silent
+from calib.certify.certificate import Progress, in_turn, silent
 from calib.certify.claim import DRAWS, PLACES, Claim, Told, Workspace, claimed, too_few
 from calib.certify.configurations import LEAST, labels, witnesses
-from calib.certify.held_errors import HeldErrors, held_errors
-from calib.certify.held_out import HeldOut, compare
+from calib.certify.held_errors import HeldErrors, held_errors, influence
+from calib.certify.held_out import HeldOut, compare, errors_of
 from calib.chains import model
 from calib.chains.identify import Identified, identify
 from calib.correct.correction import Correction, closing
@@ -47,10 +47,13 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     if label.max() + 1 < LEAST:
         return Certified(correction, found, label, None)
     before, after = in_turn(samples, label, lambda some: [_corrected(nominal, identify(some, nominal))], said)
-    J = model.parameter_jacobian(samples.commanded, found.chain)
-    known = np.einsum("nip,pq,niq->ni", J, found.covariance, J).mean(axis=0).reshape(2, 3).sum(axis=1) * FOLDS / (FOLDS - 1)
-    left = held_errors(after, samples, label, 0.0, known)
-    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.own() / 3, 3)))  # what a model lacks a fit takes into itself
+    good = found.inliers
+    agreed = samples.take(good)
+    J = model.parameter_jacobian(agreed.commanded, found.chain)
+    noise = agreed.covariance + np.diag(found.scatter**2)
+    by = influence(errors_of(correction, agreed)[1], J, found.covariance, noise, label[good])
+    left = held_errors(by.standardised, agreed, label[good])
+    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.own(0.0, rng) / 3, 3)))  # what a model lacks a fit takes into itself
     return Certified(correction, replace(found, scatter=scatter), label, compare(before, after, samples.total_covariance(), rng, label), left)
 
 
@@ -77,7 +80,7 @@ def promised(samples: Samples, done: Certified, rng: np.random.Generator) -> Cla
     if len(each) < LEAST:
         return too_few(told, words)
     values, T = closing(low_discrepancy(mechanism.travel(nominal), PLACES, FILL), done.correction)
-    own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(DRAWS, rng)
+    own = (found.scatter**2).reshape(2, 3).sum(axis=1) if done.left is None else done.left.own_draws(0.0, DRAWS, rng)
     workspace = Workspace(model.parameter_jacobian(values, found.chain), difference(mechanism.forward(values, nominal), T), own, words)
     draws = rng.multivariate_normal(np.zeros(len(found.covariance)), found.covariance, DRAWS, method="eigh")
     return replace(claimed(workspace, draws, each, told, rng), unexplained=unexplained(found.scatter, each.covariance))

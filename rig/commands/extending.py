@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from calib.certify.calibration import Calibration
     from calib.certify.certificate import Certified, Progress
     from calib.certify.claim import Claim
-    from calib.certify.extended import Extended as StrutsExtended
     from calib.certify.extended import Tried
     from calib.correct.interpolate.part import Part
     from calib.pipeline import Sampled
@@ -116,6 +115,7 @@ def say(found: Extended, on: str) -> None:
         if one.held_out is not None:
             turned = one.held_out.after.rotation[0]
             words = f"held out {one.held_out.after.position[0] * 1e3:.4f} mm" + (f", {turned * 1e3:.4f} mrad RMS" if turned == turned else " RMS")
+            words += f"; not taken: {one.reason}" if one.reason else ""
         print(f"{'->' if one.chosen else '  '} {one.kind:10} {words}")
     correction = found.done.correction
     field = correction.extension
@@ -129,7 +129,7 @@ def say(found: Extended, on: str) -> None:
 
 
 def passed(arguments: Namespace, samples: Samples, before: Calibration, rng: np.random.Generator,
-           progress: Progress) -> tuple[StrutsExtended, tuple[Tried, ...], dict[str, Any]]:
+           progress: Progress) -> tuple[Certified, tuple[Tried, ...], dict[str, Any]]:
     """(Certified, what was tried, what the provenance keeps of it) of one more pass. Raises RigError for a part that cannot be."""
     from calib.certify.onto import CONFIGURATION, POSE, Pass, certify_onto
 
