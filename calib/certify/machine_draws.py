@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.certify.component_sizes import Closures, sizes
-from calib.certify.deviations import CONDITION, PLACE, SAMPLE, Component, components, scaled
+from calib.certify.deviations import CONDITION, CONFIGURATION, PLACE, SAMPLE, Component, components, scaled
 from calib.certify.machines import Machines
 from calib.identify.geometry import Identified, loop_jacobian, parameters, strut_jacobian
 from calib.identify.tolerance import Tolerance, spread
@@ -20,6 +20,7 @@ from rig.kinds import Struts
 
 ALIKE = 0.12  # by which share what a law leaves in use is more or less than these functions of it have it
 WILD = 0.05  # share of poses that may be left out as wild; where more agree with no geometry, the machine is counted as doing so
+SEEN, SEEING = ("time", "temperature"), 0.5  # what is rather seen than done, where cameras look, and the probability of that
 COUNT, EACH = 128, 8  # draws of sizes, and machines drawn for each
 
 
@@ -81,13 +82,14 @@ def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, n
     middle, y, count = parameters(nominal) - parameters(found.mechanism), model.about(nominal), COUNT
     width = spread(known.widths, known.counts)[rng.choice(len(known.weight), count, p=known.weight)]
     size = sizes.draws
-    together = np.zeros((count, EACH, len(parts), len(parts)))
+    together, seen = np.zeros((2, count, EACH, len(parts), len(parts)))
+    looks = model.common.shape[2] > 0  # whoever measures with errors that all poses share may drift and scatter as well
     off = np.empty((count, EACH, len(middle)))
     squares = [np.zeros((count, EACH, len(own))) for own in parts]
     mean, variance = np.zeros((2, count, EACH, len(x), len(parts)))
     for k in range(count):
         off[k], coefficients = model.draw(y, parts, [one[k] for one in size], width[k], float(noise[k]), rng)
-        course = np.zeros((EACH, len(y), len(parts)))  # of what goes as it went while the poses were recorded
+        course, watched = np.zeros((2, EACH, len(y), len(parts)))  # of what goes as it went while the poses were recorded
         for i, own in enumerate(parts):
             for j, part in enumerate(own):
                 s = size[i][k, j]
@@ -96,8 +98,12 @@ def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, n
                 m, v = _used(part, s, coefficients.get((i, j)), at[i][j], x)
                 if part.over == CONDITION and part.use is None:
                     values = coefficients[i, j] @ part.basis.T
-                    course[:, :, i] += values
+                    (watched if looks and part.word in SEEN else course)[:, :, i] += values
                     squares[i][k, :, j] = (values**2).mean(axis=1)
+                elif looks and part.over in (SAMPLE, CONFIGURATION):
+                    squares[i][k, :, j] = v.mean(axis=1)
+                    seen[k, :, i, i] += v.mean(axis=1)
+                    continue
                 else:
                     squares[i][k, :, j] = (m**2 + v).mean(axis=1)
                 mean[k, :, :, i] += m
@@ -105,9 +111,11 @@ def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, n
         mean[k] += course.mean(axis=1)[:, None]
         course -= course.mean(axis=1, keepdims=True)
         together[k] = np.swapaxes(course, 1, 2) @ course / len(y)
+        seen[k] += np.swapaxes(watched, 1, 2) @ watched / len(y)
     less = np.exp(2 * ALIKE * rng.normal(size=(count, EACH, 1, 1)))
-    return Machines(off.reshape(count * EACH, -1) + middle, parts, [one.reshape(count * EACH, -1) for one in squares],
-                    *((part.reshape(count * EACH, *part.shape[2:])) for part in (mean, less * variance, less * together)))
+    flat = [part.reshape(count * EACH, *part.shape[2:]) for part in (mean, less * variance, less * together, less * seen)]
+    squares = [one.reshape(count * EACH, -1) for one in squares]
+    return Machines(off.reshape(count * EACH, -1) + middle, parts, squares, flat[0], flat[1], flat[2], flat[3], rng.random(count * EACH) < SEEING)
 
 
 def _used(part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None,

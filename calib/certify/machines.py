@@ -19,6 +19,7 @@ class Machines:
     over the workspace of each
     mean : (d, m, axes) m by which struts are longer at the places than commanded, in the mean over the ways to come there; variance :
     (d, m, axes) m^2 about that; together : (d, axes, axes) m^2, covariance of what goes by time, temperature and load as recorded
+    seen : (d, axes, axes) m^2, likewise of what either the struts do or whoever measured them saw amiss; amiss : (d,) bool, where it is the latter
     """
 
     parameters: np.ndarray
@@ -27,6 +28,8 @@ class Machines:
     mean: np.ndarray
     variance: np.ndarray
     together: np.ndarray
+    seen: np.ndarray
+    amiss: np.ndarray
 
     def squares(self, jacobian: np.ndarray, back: np.ndarray, offset: np.ndarray, rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(before, after), each (d, 2) m^2 and rad^2: the pose error's mean square over the places, by the owner's model and corrected.
@@ -36,7 +39,8 @@ class Machines:
         """
         error = np.einsum("mip,dp->dmi", jacobian, self.parameters) + np.einsum("mia,dma->dmi", back, self.mean + rho)
         beyond = np.einsum("mia,dma->di", back**2, self.variance) / len(back)
-        beyond += np.einsum("mia,dab,mib->di", back, self.together, back, optimize=True) / len(back)
+        together = self.together + self.seen * ~self.amiss[:, None, None]
+        beyond += np.einsum("mia,dab,mib->di", back, together, back, optimize=True) / len(back)
         before, after = (((whole**2).mean(axis=1) + beyond).reshape(-1, 2, 3).sum(axis=2) for whole in (error + offset, error))
         return before, after
 
@@ -53,7 +57,7 @@ class Machines:
             parameters += found
             left[:, :, i] = beyond[:, :, i] - found @ loops[:, i].T
         rows = left.reshape(-1, left.shape[2])
-        own = np.diag(self.variance.mean(axis=(0, 1))) + self.together.mean(axis=0) + rows.T @ rows / len(rows)
+        own = np.diag(self.variance.mean(axis=(0, 1))) + (self.together + self.seen).mean(axis=0) + rows.T @ rows / len(rows)
         return parameters.T @ parameters / len(parameters), (own + own.T) / 2
 
     def with_more(self, parameters: np.ndarray, course: np.ndarray) -> "Machines":
