@@ -114,8 +114,8 @@ def drawn(found: Identified, known: Tolerance, samples: Samples, sizes: Sizes, n
         seen[k] += np.swapaxes(watched, 1, 2) @ watched / len(y)
     less = np.exp(2 * ALIKE * rng.normal(size=(count, EACH, 1, 1)))
     flat = [part.reshape(count * EACH, *part.shape[2:]) for part in (mean, less * variance, less * together, less * seen)]
-    squares = [one.reshape(count * EACH, -1) for one in squares]
-    return Machines(off.reshape(count * EACH, -1) + middle, parts, squares, flat[0], flat[1], flat[2], flat[3], rng.random(count * EACH) < SEEING)
+    means = [one.reshape(count * EACH, -1) for one in squares]
+    return Machines(off.reshape(count * EACH, -1) + middle, parts, means, flat[0], flat[1], flat[2], flat[3], rng.random(count * EACH) < SEEING)
 
 
 def _used(part: Component, size: float, c: np.ndarray | None, at: tuple[np.ndarray, np.ndarray] | None,
