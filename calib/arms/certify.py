@@ -136,7 +136,7 @@ def as_held_out(found: Identified, left: HeldErrors, rng: np.random.Generator) -
     """The Identified, its scatter no less than poses held out show beyond the parameters' errors: what a model lacks a fit takes into itself."""
     if len(found.scatter) != 6:
         return found
-    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.own(0.0, rng) / 3, 3))))
+    return replace(found, scatter=np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3))))
 
 
 def _as_stated(found: Identified, measured: str) -> Identified:

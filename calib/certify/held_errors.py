@@ -72,6 +72,11 @@ class HeldErrors:
         """(2,) m^2 and rad^2, the mean of these draws."""
         return np.asarray(self.own_draws(stated, DRAWS, rng).mean(axis=0))
 
+    def shown(self, rng: np.random.Generator) -> np.ndarray:
+        """(2,) m^2 and rad^2, the mean of these draws where three of four show anything at all, else nothing."""
+        draws = self.own_draws(0.0, DRAWS, rng)
+        return np.asarray(np.where(np.quantile(draws, 0.25, axis=0) > 0, draws.mean(axis=0), 0.0))
+
     def unnoticed(self) -> float:
         """m^2, mean square of position errors that so many poses held out do not tell from the noise of measuring them."""
         return float(self.noise[:, 0].mean() * np.sqrt(2 / freedom_of(self.squares[:, 0])))

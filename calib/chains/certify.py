@@ -53,7 +53,7 @@ def certify(samples: Samples, nominal: Chain, rng: np.random.Generator, progress
     noise = agreed.covariance + np.diag(found.scatter**2)
     by = influence(errors_of(correction, agreed)[1], J, found.covariance, noise, label[good])
     left = held_errors(by.standardised, agreed, label[good])
-    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.own(0.0, rng) / 3, 3)))  # what a model lacks a fit takes into itself
+    scatter = np.maximum(found.scatter, np.sqrt(np.repeat(left.shown(rng) / 3, 3)))  # what a model lacks a fit takes into itself
     return Certified(correction, replace(found, scatter=scatter), label, compare(before, after, samples.total_covariance(), rng, label), left)
 
 

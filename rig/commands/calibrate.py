@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from calib.arms.certify import Certified as ArmCertified
     from calib.chains.certify import Certified as ChainCertified
     from calib.certify.certificate import Certified
-    from calib.certify.claim import Claim
-    from calib.correct.physics import Physics
     from calib.diagnose.taken import Findings, Taken
     from calib.diagnose.taken_arm import TakenArm
     from calib.pipeline import Sampled
@@ -169,6 +167,7 @@ def _values_name(out: Path) -> str:
 def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator, progress: Progress,
              taken: Taken | None) -> Calibration:
     from calib.certify.certificate import certify, promised, refitted
+    from calib.kept import kept
     from calib.report import calibration_page
     from rig.kinds import hexapod_of, struts_of
 
@@ -185,13 +184,13 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
     if taken is not None:
         done = taken.drawn(done, rng)
     claim = promised(samples, done, rng)
-    look = progress if taken is None else None
-    calibration = _stored(out[0], recording, sampled, arguments, done, claim, None if taken is None else taken.with_geometry(done), look=look)
+    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done.found, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
-    kept = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
-    print("beyond the geometry: " + (f"struts {', '.join(map(str, kept))} corrected over the configuration space" if kept
+    struts = [i + 1 for i, part in enumerate(done.correction.remainder) if part is not None]
+    print("beyond the geometry: " + (f"struts {', '.join(map(str, struts))} corrected over the configuration space" if struts
                                      else "nothing that pays on held-out poses" if done.held_out else "not asked, for want of held-out poses"))
     say_physics(calibration.physics)
     _print_poses(sampled, done)
@@ -200,11 +199,14 @@ def _struts(recording: Recording, sampled: Sampled, out: Places, arguments: Name
 
 def _extended(recording: Recording, sampled: Sampled, out: Places, arguments: Namespace, rng: np.random.Generator,
               progress: Progress) -> Calibration:
+    from calib.kept import kept
+
     mechanism = recording.design.mechanism
     before = _before(arguments.onto, mechanism) if arguments.onto else None
     found = extending.certified(arguments, mechanism, sampled, before, rng, progress)
     done = found.done
-    calibration = _stored(out[0], recording, sampled, arguments, done, found.claim, before=None if before is None else (before, found.kept))
+    made = kept(recording, sampled, done, found.claim, arguments.argv, before=None if before is None else (before, found.kept))
+    calibration = _stored(out[0], made, arguments, None)
     _shown(out[1], lambda page: found.draw(page, recording, calibration, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole levels of a grid, poses beside it, or whole stretches in turn)")
@@ -230,14 +232,15 @@ def _arm(recording: Recording, sampled: Sampled, out: Places, arguments: Namespa
          progress: Progress, taken: TakenArm | None) -> Calibration:
     from calib.arms.certify import certify, promised
     from calib.arms.report import calibration_page
+    from calib.kept import kept
     from rig.kinds import arm_of
 
     together = None if taken is None else taken.together
     samples = sampled.samples if together is None else together.samples
     done = certify(sampled.samples, arm_of(recording.design.mechanism), sampled.instrument, rng, progress, together)
     claim = promised(samples, done, rng)
-    look = progress if taken is None else None
-    calibration = _stored(out[0], recording, sampled, arguments, done, claim, None if taken is None else taken.with_geometry(done), look=look)
+    made = kept(recording, sampled, done, claim, arguments.argv, None if taken is None else taken.with_geometry(done))
+    calibration = _stored(out[0], made, arguments, (recording, sampled, progress) if taken is None else None)
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (a third at a time or less, whole stretches of configurations)")
@@ -251,11 +254,12 @@ def _chain(recording: Recording, sampled: Sampled, out: Places, arguments: Names
            progress: Progress) -> Calibration:
     from calib.chains.certify import certify, promised
     from calib.chains.report import calibration_page
+    from calib.kept import kept
     from rig.kinds import chain_of
 
     done = certify(sampled.samples, chain_of(recording.design.mechanism), rng, progress)
     claim = promised(sampled.samples, done, rng)
-    calibration = _stored(out[0], recording, sampled, arguments, done, claim, look=progress)
+    calibration = _stored(out[0], kept(recording, sampled, done, claim, arguments.argv), arguments, (recording, sampled, progress))
     _shown(out[1], lambda page: calibration_page(page, recording, calibration, sampled.samples, done, out[2]), calibration, progress)
     if done.held_out:
         print_comparison(done.held_out, "held-out poses (whole stretches of configurations in turn)")
@@ -284,16 +288,13 @@ def _print_poses(sampled: Sampled, done: Certified | ArmCertified | ChainCertifi
           f"them agree with one geometry{named}")
 
 
-def _stored(out: Any, recording: Recording, sampled: Sampled, arguments: Namespace, done: Certified | ArmCertified | ChainCertified, claim: Claim,
-            known: tuple[Physics, np.ndarray] | None = None, before: tuple[Calibration, dict[str, Any]] | None = None,
-            look: Progress | None = None) -> Calibration:
-    """The Calibration, written. look : called as what it leaves out is looked for, None where what is left out is known or corrected by no model"""
+def _stored(out: Any, calibration: Calibration, arguments: Namespace, look: tuple[Recording, Sampled, Progress] | None) -> Calibration:
+    """The Calibration, written. look : what is searched for what it leaves out, and what is called meanwhile; None where no model corrects that, or
+    where it is known"""
     from calib import store
-    from calib.kept import kept
     from calib.left_out import not_searched, searched
 
-    calibration = kept(recording, sampled, done, claim, arguments.argv, known, before)
     if look is not None and arguments.limbs is None:
-        calibration = not_searched(calibration) if arguments.quick else searched(calibration, recording, sampled, look)
+        calibration = not_searched(calibration) if arguments.quick else searched(calibration, *look)
     store.save(out, calibration)
     return calibration
